@@ -1,0 +1,42 @@
+"""Footlight's client: submit USD stages to a render service, watch them converge, fetch the image.
+
+Importing this costs next to nothing; gRPC and numpy are loaded with the first name that is used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from footlight.client import AsyncClient as AsyncClient
+    from footlight.client import Client as Client
+    from footlight.errors import FootlightError as FootlightError
+    from footlight.image import LiveImage as LiveImage
+    from footlight.image import Tile as Tile
+    from footlight.image import TileBatch as TileBatch
+    from footlight.private import private_server as private_server
+    from footlight.session import AsyncSession as AsyncSession
+    from footlight.session import Session as Session
+    from footlight.spec import render_spec as render_spec
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "AsyncClient": "client",
+    "AsyncSession": "session",
+    "Client": "client",
+    "FootlightError": "errors",
+    "LiveImage": "image",
+    "Session": "session",
+    "Tile": "image",
+    "TileBatch": "image",
+    "private_server": "private",
+    "render_spec": "spec",
+}
+
+__all__ = ["__version__", *_HOME]  # noqa: PLE0604 the keys are strings
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module 'footlight' has no attribute {name!r}")
+    return getattr(import_module(f"footlight.{_HOME[name]}"), name)

@@ -1,0 +1,35 @@
+"""Messages as plain values, for JSON: numbers stay numbers, and a field left at its default is there."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from google.protobuf.descriptor import FieldDescriptor  # type: ignore[import-untyped]
+from google.protobuf.message import Message  # type: ignore[import-untyped]
+
+Plain = str | int | float | bool | None | list["Plain"] | dict[str, "Plain"]
+
+
+def plain(message: Message) -> dict[str, Plain]:
+    """`message` as a dict by the .proto's names; enums by name, an unset optional field as None."""
+    return {field.name: _field(message, field) for field in message.DESCRIPTOR.fields}
+
+
+def _field(message: Message, field: FieldDescriptor) -> Plain:
+    value: Any = getattr(message, field.name)
+    if isinstance(value, Mapping):
+        return {str(key): _single(field.message_type.fields_by_name["value"], value[key]) for key in sorted(value)}
+    if field.is_repeated:
+        return [_single(field, item) for item in value]
+    if field.has_presence and not message.HasField(field.name):
+        return None
+    return _single(field, value)
+
+
+def _single(field: FieldDescriptor, value: Any) -> Plain:
+    if field.message_type is not None:
+        return plain(value)
+    if field.enum_type is not None:
+        name: str = field.enum_type.values_by_number[value].name
+        return name
+    result: Plain = value
+    return result

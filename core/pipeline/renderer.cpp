@@ -1,0 +1,201 @@
+// A render: commit, and the work handed to threads in units of one batch.
+#include "pipeline/renderer.h"
+
+#include <immintrin.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+namespace footlight {
+
+namespace {
+
+// Paths per batch: the columns of a batch (about 300 bytes a path) stay in a core's L2 cache.
+constexpr std::size_t kBatchSize = 2048;
+
+// Flush-to-zero and denormals-are-zero for the lifetime of the object, on this thread only.
+class FlushDenormals {
+public:
+    FlushDenormals() : saved_(_mm_getcsr()) { _mm_setcsr(saved_ | 0x8040U); }
+    ~FlushDenormals() { _mm_setcsr(saved_); }
+    FlushDenormals(const FlushDenormals&) = delete;
+    FlushDenormals& operator=(const FlushDenormals&) = delete;
+
+private:
+    unsigned saved_;
+};
+
+void check(const RenderOptions& o) {
+    const auto refuse = [](const std::string& text) { throw std::invalid_argument(text); };
+    if (o.width < 1 || o.height < 1 || o.width > 65535 || o.height > 65535)
+        refuse("size is " + std::to_string(o.width) + "x" + std::to_string(o.height) + "; allowed: 1 to 65535 each");
+    if (o.max_depth < 1) refuse("max_depth is " + std::to_string(o.max_depth) + "; allowed: 1 and above");
+    if (!(o.filter_width >= 0 && o.filter_width <= 64))
+        refuse("filter_width is " + std::to_string(o.filter_width) + "; allowed: 0 to 64 pixels");
+    if (o.threads < 0) refuse("threads is " + std::to_string(o.threads) + "; allowed: 0 (all) and above");
+}
+
+double filter_width(const RenderOptions& o) {
+    if (o.filter_width > 0) return o.filter_width;
+    return kPixelFilters[static_cast<std::size_t>(o.pixel_filter)].default_width;
+}
+
+LightTable build_lights(const Scene& scene, Vec3<double> origin, double scene_radius, std::vector<LeftOut>& left_out) {
+    LightTable table;
+    for (AnyLight light : scene.lights()) {
+        LightDesc& desc = common(light);
+        desc.transform = relative_to(desc.transform, origin);
+        if (const std::string reason = append(table, light); !reason.empty()) left_out.push_back({desc.path, reason});
+    }
+    finalize(table, scene_radius);
+    for (const LightInfo& info : table.info)
+        if (!info.note.empty()) left_out.push_back({info.path, info.note});
+    return table;
+}
+
+// Lights have a size too: what infinite lights send through the scene counts against them.
+double light_extent(const Scene& scene, Vec3<double> origin) {
+    double extent = 0;
+    for (const AnyLight& light : scene.lights())
+        if (!std::holds_alternative<DomeLightDesc>(light) && !std::holds_alternative<DistantLightDesc>(light))
+            extent = std::max(extent, length(translation(common(light).transform) - origin));
+    return extent;
+}
+
+// 8x8 blocks in Morton order: neighbours in a batch are neighbours in the image.
+std::vector<std::pair<std::uint16_t, std::uint16_t>> tile_order(const Rect& tile) {
+    std::vector<std::pair<std::uint16_t, std::uint16_t>> order;
+    for (unsigned code = 0; code < kTileSize * kTileSize; ++code) {
+        unsigned x = 0, y = 0;
+        for (unsigned b = 0; b < 6; ++b) {
+            x |= (code >> (2 * b) & 1U) << b;
+            y |= (code >> (2 * b + 1) & 1U) << b;
+        }
+        if (static_cast<int>(x) < tile.width && static_cast<int>(y) < tile.height)
+            order.emplace_back(static_cast<std::uint16_t>(tile.x + static_cast<int>(x)),
+                               static_cast<std::uint16_t>(tile.y + static_cast<int>(y)));
+    }
+    return order;
+}
+
+}  // namespace
+
+// Pixels that one thread renders: no other thread touches their sums.
+struct Renderer::Unit {
+    std::vector<std::pair<std::uint16_t, std::uint16_t>> pixels;
+};
+
+class Renderer::Pool {
+public:
+    Pool(const CommittedScene& scene, const Pipeline& pipeline, std::size_t batch_size, int threads)
+        : arena(threads > 0 ? threads : tbb::task_arena::automatic),
+          workers([&scene, &pipeline, batch_size] { return std::make_unique<Worker>(scene, pipeline, batch_size); }) {}
+    tbb::task_arena arena;
+    tbb::enumerable_thread_specific<std::unique_ptr<Worker>> workers;
+};
+
+Renderer::Renderer(const Scene& scene, RenderOptions options)
+    : options_(std::move(options)), filter_(options_.pixel_filter, filter_width(options_)) {
+    check(options_);
+    const Camera& camera = scene.camera();
+    const Vec3<double> origin = translation(camera.camera_to_world);
+    effects_ = derive_effects(scene, options_.force_effects);
+    camera_ = make_camera_rays(camera, options_.width, options_.height);
+    materials_ = build_material_table(scene.materials(), effects_[Effect::specular].forced, effects_[Effect::coat].forced);
+    tbb::task_arena arena(options_.threads > 0 ? options_.threads : tbb::task_arena::automatic);
+    arena.execute([&] {
+        geometry_ = build_geometry(scene, origin);
+        left_out_ = geometry_.left_out;
+        lights_ = build_lights(scene, origin, std::max(geometry_.scene_radius(), light_extent(scene, origin)), left_out_);
+        accel_ = std::make_unique<Accel>(geometry_, lights_, options_.threads);
+    });
+    for (const std::uint32_t material : geometry_.meshes.material) lobe_set_of_mesh_.push_back(materials_.lobe_set[material]);
+
+    constexpr AovSet kHitAovs = bit(Aov::normal) | bit(Aov::albedo) | bit(Aov::position);
+    const bool delta_lights = std::any_of(lights_.infinite.begin(), lights_.infinite.end(), [&](std::uint32_t i) {
+        return lights_.info[i].kind == LightKind::distant && broadcast_row<float>(lights_, i).size_u == 0;
+    });
+    committed_ = std::make_unique<CommittedScene>(CommittedScene{
+        .options = options_,
+        .effects = effects_,
+        .camera = camera_,
+        .filter = filter_,
+        .geometry = geometry_,
+        .materials = materials_,
+        .lobe_set_of_mesh = lobe_set_of_mesh_,
+        .lights = lights_,
+        .accel = *accel_,
+        .exposure = static_cast<float>(camera.exposure_scale),
+        .with_aovs = (options_.aovs & kHitAovs) != 0,
+        .sample_lights = lights_.size() > 0 && (options_.strategy != Strategy::bsdf || delta_lights),
+    });
+    pipeline_ = assemble_pipeline(*committed_);
+    film_ = std::make_unique<Film>(options_.width, options_.height, options_.aovs, origin);
+    tiles_x_ = (options_.width + kTileSize - 1) / kTileSize;
+    tiles_y_ = (options_.height + kTileSize - 1) / kTileSize;
+    batch_size_ = kBatchSize;
+    pool_ = std::make_unique<Pool>(*committed_, pipeline_, batch_size_, options_.threads);
+}
+
+Renderer::~Renderer() = default;
+
+Rect Renderer::tile(int index) const {
+    const int x = index % tiles_x_ * kTileSize, y = index / tiles_x_ * kTileSize;
+    return {x, y, std::min(kTileSize, options_.width - x), std::min(kTileSize, options_.height - y)};
+}
+
+bool Renderer::render(std::uint32_t sample_begin, std::uint32_t sample_end, int tile_begin, int tile_end) {
+    if (sample_end <= sample_begin || tile_end <= tile_begin) return !cancelled_;
+    const std::size_t samples = sample_end - sample_begin;
+    const std::size_t pixels_per_unit = std::max<std::size_t>(1, batch_size_ / samples);
+    std::vector<Unit> units;
+    for (int t = tile_begin; t < tile_end; ++t) {
+        const auto order = tile_order(tile(t));
+        for (std::size_t i = 0; i < order.size(); i += pixels_per_unit) {
+            const auto end = order.begin() + static_cast<std::ptrdiff_t>(std::min(order.size(), i + pixels_per_unit));
+            units.push_back({{order.begin() + static_cast<std::ptrdiff_t>(i), end}});
+        }
+    }
+    pool_->arena.execute([&] {
+        tbb::parallel_for(std::size_t{0}, units.size(), [&](std::size_t i) {
+            if (!cancelled_) run_unit(units[i], sample_begin, sample_end);
+        });
+    });
+    return !cancelled_;
+}
+
+void Renderer::run_unit(const Unit& unit, std::uint32_t sample_begin, std::uint32_t sample_end) {
+    const FlushDenormals flush;
+    Worker& worker = *pool_->workers.local();
+    std::size_t count = 0;
+    for (const auto& [x, y] : unit.pixels)
+        for (std::uint32_t s = sample_begin; s < sample_end; ++s) {
+            worker.owners[count++] = {x, y, s};
+            if (count == worker.capacity) {
+                worker.run(count, *film_);
+                count = 0;
+            }
+        }
+    if (count > 0) worker.run(count, *film_);
+}
+
+Ledger Renderer::ledger() const {
+    Ledger total;
+    for (const auto& worker : pool_->workers) total.add(worker->ledger);
+    return total;
+}
+
+SceneCounts Renderer::counts() const {
+    const std::size_t geometry = (geometry_.positions.size() + geometry_.normals.size() + geometry_.colors.size()) * sizeof(float) +
+                                 (geometry_.indices.size() + geometry_.mesh_of_triangle.size() +
+                                  geometry_.normal_corners.size() + geometry_.color_corners.size()) *
+                                     sizeof(std::uint32_t);
+    return {geometry_.triangle_count(), geometry_.instances.size(), lights_.size(), geometry, accel_->bytes()};
+}
+
+}  // namespace footlight

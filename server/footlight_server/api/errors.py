@@ -1,0 +1,65 @@
+"""The one table from exceptions to status codes, and how they are told to a client."""
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import grpc
+from google.protobuf.any_pb2 import Any as AnyMessage
+from google.rpc import error_details_pb2, status_pb2
+from grpc_status import rpc_status
+
+from footlight_server.sessions import errors
+
+log = logging.getLogger(__name__)
+
+DOMAIN = "footlight"
+
+# The proto's comment on RenderService is the manual of this.
+TABLE: dict[type[Exception], tuple[grpc.StatusCode, str]] = {
+    errors.InvalidFieldsError: (grpc.StatusCode.INVALID_ARGUMENT, "INVALID_FIELD"),
+    errors.RenderNotFoundError: (grpc.StatusCode.NOT_FOUND, "RENDER_NOT_FOUND"),
+    errors.StageNotFoundError: (grpc.StatusCode.NOT_FOUND, "STAGE_NOT_FOUND"),
+    errors.OutsideRootsError: (grpc.StatusCode.PERMISSION_DENIED, "OUTSIDE_ROOTS"),
+    errors.ResultNotReadyError: (grpc.StatusCode.FAILED_PRECONDITION, "RESULT_NOT_READY"),
+    errors.StageRefusedError: (grpc.StatusCode.FAILED_PRECONDITION, "STAGE_REFUSED"),
+    errors.RequestIdReusedError: (grpc.StatusCode.ALREADY_EXISTS, "REQUEST_ID_REUSED"),
+    errors.QueueFullError: (grpc.StatusCode.RESOURCE_EXHAUSTED, "QUEUE_FULL"),
+    errors.WorkerFailedError: (grpc.StatusCode.ABORTED, "WORKER_FAILED"),
+    errors.TimeLimitError: (grpc.StatusCode.DEADLINE_EXCEEDED, "TIME_LIMIT"),
+    errors.ViewerSilentError: (grpc.StatusCode.DEADLINE_EXCEEDED, "NOT_READING"),
+    errors.ShuttingDownError: (grpc.StatusCode.UNAVAILABLE, "SHUTTING_DOWN"),
+}
+
+
+@asynccontextmanager
+async def told(context: grpc.aio.ServicerContext) -> AsyncIterator[None]:
+    """Within, exceptions end the call with their status; those that nobody expects are logged and INTERNAL."""
+    try:
+        yield
+    except errors.ServiceError as error:
+        code, reason = TABLE[type(error)]
+        await context.abort_with_status(_status(code, reason, error))
+    except (grpc.aio.AbortError, grpc.aio.UsageError):
+        raise
+    except Exception as error:
+        log.exception("a call failed")
+        await context.abort_with_status(_status(grpc.StatusCode.INTERNAL, "INTERNAL", error))
+
+
+def _status(code: grpc.StatusCode, reason: str, error: Exception) -> grpc.Status:
+    message = str(error) if isinstance(error, errors.ServiceError) else f"{type(error).__name__}: {error}"
+    status = status_pb2.Status(code=code.value[0], message=message)
+    _pack(status, error_details_pb2.ErrorInfo(reason=reason, domain=DOMAIN))
+    if isinstance(error, errors.InvalidFieldsError):
+        request = error_details_pb2.BadRequest()
+        for violation in error.violations:
+            request.field_violations.add(field=violation.field, description=violation.description)
+        _pack(status, request)
+    return rpc_status.to_status(status)
+
+
+def _pack(status: status_pb2.Status, detail: error_details_pb2.ErrorInfo | error_details_pb2.BadRequest) -> None:
+    packed = AnyMessage()
+    packed.Pack(detail)
+    status.details.append(packed)

@@ -1,0 +1,113 @@
+"""Checks a RenderSpec field by field and fills in the defaults that the protocol promises."""
+
+import math
+import os
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+
+from footlight.v1 import render_pb2
+from footlight_server.sessions.errors import (
+    FieldViolation,
+    InvalidFieldsError,
+    OutsideRootsError,
+    StageNotFoundError,
+)
+
+_DEFAULTS = {"spp": 64, "max_depth": 8}
+# [low, high] As the proto's comments say; 0 was replaced by the default or means "not given" before these are looked at.
+_RANGES = {
+    "width": (1, 32768),
+    "height": (1, 32768),
+    "spp": (1, 1 << 20),
+    "max_depth": (1, 1024),
+    "threads": (1, 1024),
+}
+_MOST_PIXELS = 1 << 28
+_WIDEST_FILTER = 16.0
+_FILTER_WIDTHS = {
+    render_pb2.PIXEL_FILTER_BOX: 1.0,
+    render_pb2.PIXEL_FILTER_GAUSSIAN: 3.0,
+    render_pb2.PIXEL_FILTER_BLACKMAN_HARRIS: 3.0,
+}
+
+
+def complete_spec(asked: render_pb2.RenderSpec) -> render_pb2.RenderSpec:
+    """The spec with defaults filled in. Raises InvalidFieldsError naming every field at fault."""
+    spec = render_pb2.RenderSpec()
+    spec.CopyFrom(asked)
+    for name, value in _DEFAULTS.items():
+        setattr(spec, name, getattr(spec, name) or value)
+    spec.strategy = spec.strategy or render_pb2.STRATEGY_MIS
+    spec.pixel_filter = spec.pixel_filter or render_pb2.PIXEL_FILTER_BLACKMAN_HARRIS
+    spec.filter_width = spec.filter_width or _FILTER_WIDTHS.get(spec.pixel_filter, 1.0)
+    violations = [*_text_violations(spec), *_range_violations(spec), *_number_violations(spec)]
+    if violations:
+        raise InvalidFieldsError(violations)
+    return spec
+
+
+def check_stage(path: str, roots: Sequence[Path]) -> None:
+    """The stage's file has to be there, and below a root if there are any. Blocks on the file system."""
+    real = Path(os.path.realpath(path))
+    if roots and not any(real.is_relative_to(root) for root in roots):
+        raise OutsideRootsError(f"{path}: not below a directory this server may read ({_listed(roots)})")
+    try:
+        mode = real.stat().st_mode
+    except OSError as error:
+        raise StageNotFoundError(f"{path}: {error.strerror}") from error
+    if not stat.S_ISREG(mode):
+        raise InvalidFieldsError([_violation("stage_path", f"{path}: not a file")])
+
+
+def _violation(field: str, description: str) -> FieldViolation:
+    return FieldViolation(f"spec.{field}", description)
+
+
+def _text_violations(spec: render_pb2.RenderSpec) -> list[FieldViolation]:
+    violations = []
+    if not spec.stage_path:
+        violations.append(_violation("stage_path", "required"))
+    elif not spec.stage_path.startswith("/"):
+        violations.append(_violation("stage_path", f"{spec.stage_path!r}: has to be absolute"))
+    elif "\0" in spec.stage_path:
+        violations.append(_violation("stage_path", "holds a NUL"))
+    if spec.camera_path and not spec.camera_path.startswith("/"):
+        violations.append(
+            _violation("camera_path", f"{spec.camera_path!r}: has to be an absolute prim path, such as /World/cam")
+        )
+    return violations
+
+
+def _range_violations(spec: render_pb2.RenderSpec) -> list[FieldViolation]:
+    violations = []
+    for name, (low, high) in _RANGES.items():
+        value = getattr(spec, name)
+        if value and not low <= value <= high:
+            violations.append(_violation(name, f"{value}: allowed are {low} to {high}"))
+    if bool(spec.width) != bool(spec.height):
+        violations.append(_violation("width" if spec.height else "height", "give width and height, or neither"))
+    elif spec.width * spec.height > _MOST_PIXELS:
+        violations.append(_violation("width", f"{spec.width}x{spec.height}: at most {_MOST_PIXELS} pixels are allowed"))
+    return violations
+
+
+def _number_violations(spec: render_pb2.RenderSpec) -> list[FieldViolation]:
+    violations = []
+    if spec.pixel_filter not in _FILTER_WIDTHS:
+        violations.append(_violation("pixel_filter", f"{spec.pixel_filter}: not a PixelFilter of this server"))
+    if spec.strategy not in render_pb2.Strategy.values():
+        violations.append(_violation("strategy", f"{spec.strategy}: not a Strategy of this server"))
+    if not 0 < spec.filter_width <= _WIDEST_FILTER:
+        violations.append(_violation("filter_width", f"{spec.filter_width:g}: allowed is over 0 to {_WIDEST_FILTER:g}"))
+    if spec.HasField("time_code") and not math.isfinite(spec.time_code):
+        violations.append(_violation("time_code", f"{spec.time_code}: has to be finite"))
+    for name in ("time_limit_seconds", "error_limit"):
+        value = getattr(spec, name)
+        if not (value >= 0 and math.isfinite(value)):
+            violations.append(_violation(name, f"{value:g}: has to be finite and not negative"))
+    return violations
+
+
+def _listed(roots: Sequence[Path]) -> str:
+    return ", ".join(str(root) for root in roots)

@@ -1,0 +1,1 @@
+"""Renders as the server sees them: states, queue, what viewers are owed."""

@@ -1,0 +1,273 @@
+"""One render on the server: drives the state machine with what worker and clients say, and carries out its effects."""
+
+import asyncio
+import contextlib
+import logging
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from footlight.v1 import render_pb2
+from footlight.worker.v1 import worker_pb2
+from footlight_server.sessions.encoding import Encoding, TileEncoder
+from footlight_server.sessions.machine import (
+    CancelAsked,
+    DeadlinePassed,
+    Effect,
+    Event,
+    Failed,
+    Finished,
+    Heard,
+    Patience,
+    RenderingBegan,
+    State,
+    TakenUp,
+    WorkerGone,
+    WritingBegan,
+    step,
+)
+from footlight_server.sessions.viewer import Viewer
+from footlight_server.workers.failure import Failure, FailureReason
+from footlight_server.workers.process import WorkerGoneError, WorkerPool, WorkerProcess
+
+log = logging.getLogger(__name__)
+
+
+class Session:
+    """Made when a render is accepted; `run` takes it to its end."""
+
+    def __init__(
+        self,
+        identifier: str,
+        number: int,
+        task: worker_pb2.Task,
+        directory: Path,
+        patience: Patience,
+        encoders: ThreadPoolExecutor,
+    ) -> None:
+        # Counts the renders of this server.
+        self.number = number
+        # The client's name for the request, if it gave one.
+        self.request_id = ""
+        self._task = task
+        self._directory = directory
+        self._patience = patience
+        self._encoders = encoders
+        self._state = State(created=time.monotonic())
+        self._worker: WorkerProcess | None = None
+        self._encoder: TileEncoder | None = None
+        # aov -> tile -> samples: what a viewer that joins has missed.
+        self._shown: dict[str, dict[int, int]] = {}
+        self._viewers: list[Viewer] = []
+        self._talk: set[asyncio.Task[None]] = set()
+        self._clock = time.time() - time.monotonic()
+        self._render = render_pb2.Render(name=f"renders/{identifier}", spec=task.spec)
+        self._describe()
+
+    @property
+    def name(self) -> str:
+        """`renders/{id}`."""
+        return self._render.name
+
+    @property
+    def taken_up(self) -> bool:
+        """It has a worker."""
+        return self._worker is not None
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more will happen to it."""
+        return self._state.phase.ended
+
+    @property
+    def render(self) -> render_pb2.Render:
+        """The render as it is now; a copy."""
+        copy = render_pb2.Render()
+        copy.CopyFrom(self._render)
+        return copy
+
+    @property
+    def film_bytes(self) -> int:
+        """[bytes] Of pixels that are kept for viewers."""
+        return self._encoder.film_bytes if self._encoder is not None else 0
+
+    def exr_path(self) -> Path:
+        """Where the image is, if there is one."""
+        return Path(self._task.exr_path)
+
+    def png_path(self) -> Path:
+        """Where the picture is, if the spec asks for one and there is an image."""
+        return Path(self._task.png_path)
+
+    # --- what clients do ---
+
+    def cancel(self, *, keep: bool) -> None:
+        """Have it end soon."""
+        self._apply(CancelAsked(keep=keep))
+
+    @contextlib.contextmanager
+    def viewing(self, aovs: Iterable[str], encoding: Encoding, credit: int, max_rate: float) -> Iterator[Viewer]:
+        """A viewer that is kept up to date inside the block."""
+        viewer = Viewer(aovs, encoding, credit, max_rate, self._encoders)
+        viewer.show_render(self.render, ended=self.ended)
+        if self._encoder is not None:
+            for aov, tiles in self._shown.items():
+                for tile, samples in tiles.items():
+                    viewer.show_tiles(aov, (tile,), samples, self._encoder)
+        self._viewers.append(viewer)
+        self._publish()
+        try:
+            yield viewer
+        finally:
+            self._viewers.remove(viewer)
+            self._publish()
+
+    def forget_pixels(self) -> None:
+        """Let go of the film; viewers that join from now on get events only."""
+        self._encoder = None
+        self._shown.clear()
+
+    # --- its course ---
+
+    async def run(self, pool: WorkerPool) -> None:
+        """Take a worker and see the render to its end. Cancelled only when the render has ended or the server stops."""
+        try:
+            await self._make_directory()
+            self._worker = await pool.take()
+            if not self.ended:
+                await self._converse(self._worker, pool)
+        except WorkerGoneError as gone:
+            self._apply(WorkerGone(gone.failure))
+        except Exception as error:
+            log.exception("%s: the server failed", self.name)
+            self._apply(Failed(Failure(FailureReason.INTERNAL, f"{type(error).__name__}: {error}")))
+        finally:
+            if self._worker is not None:
+                await self._worker.close()
+            self._apply(Failed(Failure(FailureReason.INTERNAL, "the server gave up")))
+
+    async def _make_directory(self) -> None:
+        try:
+            await asyncio.to_thread(self._directory.mkdir, 0o700)
+        except OSError as error:
+            raise WorkerGoneError(Failure(FailureReason.OUTPUT, f"no place for the image: {error}")) from error
+
+    async def _converse(self, worker: WorkerProcess, pool: WorkerPool) -> None:
+        await worker.send(worker_pb2.WorkerRequest(task=self._task))
+        self._apply(TakenUp())
+        while not self.ended:
+            try:
+                async with asyncio.timeout_at(self._loop_time(self._state.deadline)):
+                    event = await worker.receive()
+            except TimeoutError:
+                self._apply(DeadlinePassed())
+                continue
+            self._hear(event, worker)
+            if event.HasField("tiles") or event.HasField("opened"):
+                pool.prepare_spare()
+
+    def _loop_time(self, deadline: float | None) -> float | None:
+        """The event loop's time for a monotonic time."""
+        if deadline is None:
+            return None
+        return deadline - time.monotonic() + asyncio.get_running_loop().time()
+
+    def _hear(self, event: worker_pb2.WorkerEvent, worker: WorkerProcess) -> None:
+        """Take in what the worker says."""
+        match event.WhichOneof("event"):
+            case "opened":
+                self._render.spec.CopyFrom(event.opened.spec)
+                self._render.report.CopyFrom(event.opened.report)
+            case "film":
+                self._encoder = TileEncoder(worker.open_film(event.film))
+                self._publish()
+                self._apply(RenderingBegan())
+            case "tiles":
+                self._show_tiles(event.tiles)
+                self._apply(Heard())
+            case "progress":
+                self._render.progress.CopyFrom(event.progress)
+                for viewer in self._viewers:
+                    viewer.show_progress(event.progress)
+                self._apply(Heard())
+            case "writing":
+                self._apply(WritingBegan())
+            case "done":
+                self._render.stats.CopyFrom(event.done.stats)
+                self._apply(Finished(has_image=event.done.has_image, cancelled=event.done.cancelled))
+            case "failed":
+                self._apply(Failed(_failure(event.failed)))
+
+    def _show_tiles(self, tiles: worker_pb2.Tiles) -> None:
+        if self._encoder is None or not self._encoder.has(tiles.aov, tiles.indices):
+            raise ValueError(f"the worker shows tiles of {tiles.aov!r} that its film does not have")
+        self._shown.setdefault(tiles.aov, {}).update(dict.fromkeys(tiles.indices, tiles.samples))
+        for viewer in self._viewers:
+            viewer.show_tiles(tiles.aov, tiles.indices, tiles.samples, self._encoder)
+
+    def _publish(self) -> None:
+        """Tell the worker which AOVs are looked at."""
+        if self._worker is not None and self._encoder is not None and not self.ended:
+            wanted = sorted({aov for viewer in self._viewers for aov in viewer.queue.aovs})
+            self._tell(worker_pb2.WorkerRequest(publish=worker_pb2.Publish(aovs=wanted)))
+
+    def _tell(self, request: worker_pb2.WorkerRequest) -> None:
+        if self._worker is not None:
+            task = asyncio.create_task(self._worker.send(request))
+            self._talk.add(task)
+            task.add_done_callback(self._talk.discard)
+
+    def _apply(self, event: Event) -> None:
+        self._state, effects = step(self._state, event, time.monotonic(), self._patience)
+        self._describe()
+        for effect in effects:
+            self._carry_out(effect)
+
+    def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case Effect.ANNOUNCE:
+                log.info("%s: %s", self.name, self._state.phase.name.lower())
+                for viewer in self._viewers:
+                    viewer.show_render(self.render, ended=self.ended)
+            case Effect.FINISH_WORKER:
+                self._tell(worker_pb2.WorkerRequest(finish=worker_pb2.Finish()))
+            case Effect.KILL_WORKER:
+                if self._worker is not None:
+                    self._worker.kill()
+            case Effect.DISCARD_FILES:
+                asyncio.get_running_loop().run_in_executor(None, self.discard_files)
+
+    def discard_files(self) -> None:
+        """Remove what it has on disk. Blocks."""
+        shutil.rmtree(self._directory, ignore_errors=True)
+
+    def _describe(self) -> None:
+        """Bring the resource up to the state."""
+        state, render = self._state, self._render
+        render.state = render_pb2.RenderState.Value(f"RENDER_STATE_{state.phase.name}")
+        render.has_result = state.has_image
+        render.create_time.CopyFrom(self._timestamp(state.created))
+        if state.started is not None:
+            render.start_time.CopyFrom(self._timestamp(state.started))
+        if state.ended is not None:
+            render.end_time.CopyFrom(self._timestamp(state.ended))
+        if state.phase.ended and state.failure is not None:
+            render.failure.reason = render_pb2.FailureReason.Value(f"FAILURE_REASON_{state.failure.reason.name}")
+            render.failure.message = state.failure.message
+            render.failure.prim_path = state.failure.prim_path
+
+    def _timestamp(self, monotonic: float) -> Timestamp:
+        """Wall-clock time of a monotonic time; a clock that jumps later on does not reorder a render's times."""
+        timestamp = Timestamp()
+        timestamp.FromNanoseconds(int((self._clock + monotonic) * 1e9))
+        return timestamp
+
+
+def _failure(message: render_pb2.Failure) -> Failure:
+    name = render_pb2.FailureReason.Name(message.reason).removeprefix("FAILURE_REASON_")
+    reason = FailureReason.__members__.get(name, FailureReason.INTERNAL)
+    return Failure(reason, message.message, message.prim_path)

@@ -1,0 +1,1 @@
+"""One file per kind of prim: from a prim to calls on the sink."""

@@ -1,0 +1,52 @@
+"""What a worker process may use: its environment, and limits it sets on itself before it reads a stage."""
+
+import ctypes
+import os
+import resource
+import signal
+from collections.abc import Mapping
+
+_PR_SET_PDEATHSIG = 1
+# What a worker needs to know of the machine. USD's own variables (PXR_PLUGINPATH_NAME, PXR_AR_DEFAULT_SEARCH_PATH, TF_*),
+# PYTHONPATH and LD_* would let the surroundings decide what code and which files a stage reaches.
+_KEPT = ("HOME", "LANG", "LC_ALL", "LC_CTYPE", "OCIO", "PATH", "TMPDIR", "TZ")
+
+
+def worker_environment(surroundings: Mapping[str, str]) -> dict[str, str]:
+    """The environment of a worker process."""
+    kept = {name: surroundings[name] for name in _KEPT if name in surroundings}
+    # Maps of crate files turn into SIGBUS when a file is truncated while open; reads turn into errors.
+    return kept | {"USDC_USE_PREAD": "1"}
+
+
+def die_with_parent() -> None:
+    """Have the kernel kill this process when the server ends, however it does."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def set_limits(memory_bytes: int, cpu_seconds: int) -> None:
+    """Limit address space, CPU time from now on (SIGXCPU), and core files. 0: no limit."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if memory_bytes:
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        limit = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    if cpu_seconds:
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        soft = int(used.ru_utime + used.ru_stime) + cpu_seconds
+        resource.setrlimit(resource.RLIMIT_CPU, (soft, resource.RLIM_INFINITY))
+
+
+def lift_cpu_limit() -> None:
+    """Rendering may take as long as it takes."""
+    resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+
+
+def physical_memory() -> int:
+    """[bytes] Of the machine."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def peak_memory() -> int:
+    """[bytes] The most this process has held so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -1,0 +1,61 @@
+"""Copies tiles that are new from the renderer into the shared film and says which."""
+
+import os
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from footlight.worker.v1 import worker_pb2
+from footlight_server.workers.film import Film, create_film, shape_of
+from footlight_server.workers.link import Link
+
+
+class TileSource(Protocol):
+    """The part of the core's Renderer that is needed here."""
+
+    def read_tile(self, aov: str, tile: int) -> NDArray[np.float32]:
+        """(height, width, channels) float32 of the image so far."""
+        ...
+
+
+class Publisher:
+    """Owns the worker's view of the film."""
+
+    def __init__(self, link: Link, source: TileSource, width: int, height: int, aovs: Sequence[str]) -> None:
+        self._link = link
+        self._source = source
+        channels = [(aov, int(source.read_tile(aov, 0).shape[2])) for aov in aovs]
+        shape = shape_of(width, height, channels)
+        self._film: Film
+        self._film, descriptor = create_film(shape)
+        self._samples = np.zeros(shape.tiles, np.uint32)
+        self._known: frozenset[str] = frozenset({"color"})
+        event = worker_pb2.WorkerEvent(film=worker_pb2.Film(width=width, height=height))
+        for plane in shape.planes:
+            event.film.aovs.add(name=plane.name, channels=plane.channels, offset=plane.offset)
+        try:
+            link.send(event, descriptor)
+        finally:
+            os.close(descriptor)
+
+    def publish(self, begin: int, end: int, samples: int) -> None:
+        """Show tiles [begin, end), which hold `samples` samples now; `color` always, other AOVs when somebody looks."""
+        self._samples[begin:end] = samples
+        wanted = (self._link.wanted_aovs | {"color"}) & self._film.planes.keys()
+        for aov in sorted(wanted):
+            tiles = range(begin, end) if aov in self._known else np.flatnonzero(self._samples).tolist()
+            self._copy(aov, tiles)
+        self._known = frozenset(wanted)
+
+    def _copy(self, aov: str, tiles: Sequence[int]) -> None:
+        plane = self._film.planes[aov]
+        by_samples: dict[int, list[int]] = {}
+        for tile in tiles:
+            box = self._film.shape.box(tile)
+            plane[box.y : box.y + box.height, box.x : box.x + box.width] = self._source.read_tile(aov, tile)
+            by_samples.setdefault(int(self._samples[tile]), []).append(tile)
+        for samples, indices in by_samples.items():
+            message = worker_pb2.Tiles(aov=aov, indices=indices, samples=samples, scale=1)
+            self._link.send(worker_pb2.WorkerEvent(tiles=message))

@@ -1,0 +1,70 @@
+"""From a task's stage to a filled scene, and from USD's errors to failures."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from footlight.v1 import render_pb2, stats_pb2
+from footlight.worker.v1 import worker_pb2
+from footlight_server.usd import (
+    CameraError,
+    Report,
+    SceneSink,
+    StageError,
+    StageNotFoundError,
+    StageUnreadableError,
+    StageMalformedError,
+    TranslateRequest,
+    open_stage,
+    translate,
+)
+from footlight_server.workers.causes import TaskFailedError, failing_as
+from footlight_server.workers.failure import Failure, FailureReason
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedStage:
+    """What the translation says, and what of the spec it has settled: size, camera, time code."""
+
+    report: Report
+    resolved: render_pb2.RenderSpec
+
+
+def load_stage(task: worker_pb2.Task, sink: SceneSink, seconds: stats_pb2.StageSeconds) -> LoadedStage:
+    """Open the stage and translate it into `sink`; fills in `seconds`. Raises TaskFailedError."""
+    spec = task.spec
+    roots = tuple(Path(root) for root in task.roots)
+    request = TranslateRequest(
+        camera=spec.camera_path or None,
+        time_code=spec.time_code if spec.HasField("time_code") else None,
+        size=(spec.width, spec.height) if spec.width else None,
+        roots=roots,
+    )
+    unreadable = (StageNotFoundError, StageUnreadableError, StageMalformedError, OSError)
+    before = time.monotonic()
+    with failing_as(FailureReason.SCENE, StageError), failing_as(FailureReason.STAGE_UNREADABLE, *unreadable):
+        opened = open_stage(Path(spec.stage_path), roots=roots)
+    seconds.open = time.monotonic() - before
+    before = time.monotonic()
+    with (
+        failing_as(FailureReason.SCENE, StageError, ValueError),
+        failing_as(FailureReason.INVALID_ARGUMENT, CameraError),
+    ):
+        report = translate(opened.stage, sink, request)
+    seconds.translate = time.monotonic() - before
+    for error in opened.composition_errors:
+        report.note("", error)
+    if spec.strict:
+        _refuse_left_out(report)
+    resolved = render_pb2.RenderSpec(
+        camera_path=report.camera, time_code=report.time_code, width=report.width, height=report.height
+    )
+    return LoadedStage(report, resolved)
+
+
+def _refuse_left_out(report: Report) -> None:
+    if report.left_out:
+        first = report.left_out[0]
+        more = f" (and {len(report.left_out) - 1} more)" if len(report.left_out) > 1 else ""
+        message = f"strict: {first.path} {first.what} would be left out: {first.reason}{more}"
+        raise TaskFailedError(Failure(FailureReason.SCENE, message, first.path))
