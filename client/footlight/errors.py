@@ -54,6 +54,10 @@ class DeadlineError(FootlightError):
     """The server did not answer in time, or opening the stage took longer than it allows."""
 
 
+class WorkerFailedError(FootlightError):
+    """The worker that was to explain the stage crashed or ran out of memory. A retry may meet the same end."""
+
+
 class ProtocolError(FootlightError):
     """The server sent what its protocol does not allow, or failed inside. Please report it."""
 
@@ -91,6 +95,8 @@ _BY_REASON: dict[str, type[FootlightError]] = {
     "STAGE_REFUSED": StageRefusedError,
     "QUEUE_FULL": QueueFullError,
     "TIME_LIMIT": DeadlineError,
+    "NOT_READING": DeadlineError,
+    "WORKER_FAILED": WorkerFailedError,
     "SHUTTING_DOWN": ServerUnavailableError,
     "INTERNAL": ProtocolError,
 }

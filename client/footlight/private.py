@@ -1,21 +1,21 @@
 """A server of our own: on a Unix socket that only we can reach, and gone when we are."""
 
 import contextlib
+import select
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from importlib.util import find_spec
-from pathlib import Path
-
-import grpc
+from typing import IO
 
 from footlight.errors import FootlightError
 
-# [s] Importing the server takes under one second on the reference machine.
+# [s] Starting takes under one second on the reference machine; stopping is bounded by the server to ten.
 START_TIMEOUT = 30.0
-STOP_TIMEOUT = 5.0
+STOP_TIMEOUT = 12.0
+# [lines] Of the server's log, for the message.
+LAST_LINES = 20
 
 
 class NoServerError(FootlightError):
@@ -35,46 +35,42 @@ def private_server() -> Iterator[str]:
             "footlight-server is not installed in this Python, so no private server can be started; install it "
             "(pip install footlight-server) or name a running one with --server HOST:PORT"
         )
-    with tempfile.TemporaryDirectory(prefix="footlight-") as directory:  # mode 0700
+    # The directory has mode 0700; the log has no name, so that a crash leaves no more than an empty directory.
+    with tempfile.TemporaryDirectory(prefix="footlight-") as directory, tempfile.TemporaryFile() as log:
         address = f"unix:{directory}/socket"
-        log = Path(directory) / "log"
-        with log.open("wb") as stderr:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "footlight_server", "--private", f"{directory}/socket"],
-                stdin=subprocess.PIPE,
-                stdout=stderr,
-                stderr=stderr,
-                start_new_session=True,
-            )
+        process = subprocess.Popen(
+            [sys.executable, "-m", "footlight_server", "--private", f"--listen={address}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            start_new_session=True,
+        )
         try:
-            _wait_until_ready(process, address, log)
+            _wait_until_listening(process, log)
             yield address
         finally:
             _stop(process)
 
 
-def _wait_until_ready(process: subprocess.Popen[bytes], address: str, log: Path) -> None:
-    deadline = time.monotonic() + START_TIMEOUT
-    socket = Path(address.removeprefix("unix:"))
-    while not socket.exists():
-        if process.poll() is not None:
-            said = log.read_text(errors="replace").strip().splitlines()
-            raise NoServerError("the private server ended at once: " + ("\n".join(said[-20:]) or "without a word"))
-        if time.monotonic() > deadline:
-            raise NoServerError(f"the private server did not start within {START_TIMEOUT:.0f} s")
-        time.sleep(0.01)
-    with grpc.insecure_channel(address) as channel:
-        try:
-            grpc.channel_ready_future(channel).result(timeout=max(deadline - time.monotonic(), 1.0))
-        except grpc.FutureTimeoutError as error:
-            raise NoServerError("the private server does not answer") from error
+def _wait_until_listening(process: subprocess.Popen[bytes], log: IO[bytes]) -> None:
+    """The server's one line on stdout says that it listens; its end without one, that it could not start."""
+    assert process.stdout is not None
+    if not select.select([process.stdout], [], [], START_TIMEOUT)[0]:
+        raise NoServerError(f"the private server did not start within {START_TIMEOUT:.0f} s")
+    if not process.stdout.readline():
+        log.seek(0)
+        said = log.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
+        raise NoServerError("the private server could not start: " + ("\n".join(said) or "it said nothing"))
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    if process.stdin is not None:
-        process.stdin.close()  # the server's sign to leave
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.close()  # the server's sign to leave
     try:
         process.wait(STOP_TIMEOUT)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
+    finally:
+        process.stdout.close()

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import queue
 from collections.abc import AsyncIterator, Iterable, Iterator
 from pathlib import Path
@@ -106,9 +107,9 @@ class Session:
         """The image file, float32 EXR or 8-bit PNG. Raises ResultNotReadyError if there is none."""
         return b"".join(self.pieces(image_format))
 
-    def save(self, path: Path, image_format: Format = "exr") -> None:
+    def save(self, path: str | os.PathLike[str], image_format: Format = "exr") -> None:
         """Fetch the image file to `path`, which appears whole or not at all. Raises OSError naming it."""
-        with replacing(path) as file:
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
             for piece in self.pieces(image_format):
                 file.write(piece)
 
@@ -172,9 +173,9 @@ class AsyncSession:
         """As `Session.result`."""
         return b"".join([piece async for piece in self.pieces(image_format)])
 
-    async def save(self, path: Path, image_format: Format = "exr") -> None:
+    async def save(self, path: str | os.PathLike[str], image_format: Format = "exr") -> None:
         """As `Session.save`. Writing blocks the loop for a piece at a time."""
-        with replacing(path) as file:
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
             async for piece in self.pieces(image_format):
                 file.write(piece)
 

@@ -53,9 +53,9 @@ struct Accel::Impl {
     std::vector<std::vector<GeometryEntry>> group_entries;  // of prototypes
     std::uint32_t first_instance_id = 0;
 
-    Impl(const Geometry& geometry_in, const LightTable& lights_in, int threads) : geometry(geometry_in), lights(lights_in) {
-        const std::string config = threads > 0 ? "threads=" + std::to_string(threads) : std::string();
-        device = rtcNewDevice(config.empty() ? nullptr : config.c_str());
+    Impl(const Geometry& geometry_in, const LightTable& lights_in) : geometry(geometry_in), lights(lights_in) {
+        // No thread count: Embree would impose it on the whole process. It builds in the caller's task arena.
+        device = rtcNewDevice(nullptr);
         if (device == nullptr) throw std::runtime_error("Embree could not be started on this processor");
         rtcSetDeviceMemoryMonitorFunction(
             device,
@@ -215,7 +215,7 @@ struct Accel::Impl {
             const Vec3<float> o{RTCRayN_org_x(rays, n, i), RTCRayN_org_y(rays, n, i), RTCRayN_org_z(rays, n, i)};
             const Vec3<float> d{RTCRayN_dir_x(rays, n, i), RTCRayN_dir_y(rays, n, i), RTCRayN_dir_z(rays, n, i)};
             const float t = footlight::intersect_light<float>(self->lights, light, o, d);
-            if (!(t > RTCRayN_tnear(rays, n, i) && t <= RTCRayN_tfar(rays, n, i))) continue;
+            if (!(t > RTCRayN_tnear(rays, n, i) && t < RTCRayN_tfar(rays, n, i))) continue;
             if constexpr (Closest) {
                 RTCRayN_tfar(rays, n, i) = t;
                 RTCHitN_geomID(hits, n, i) = args->geomID;
@@ -300,8 +300,7 @@ void valid_lanes(std::size_t remaining, int* valid) {
 
 }  // namespace
 
-Accel::Accel(const Geometry& geometry, const LightTable& lights, int threads)
-    : impl_(std::make_unique<Impl>(geometry, lights, threads)) {}
+Accel::Accel(const Geometry& geometry, const LightTable& lights) : impl_(std::make_unique<Impl>(geometry, lights)) {}
 Accel::~Accel() = default;
 
 void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind,
@@ -309,6 +308,8 @@ void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::si
     QueryContext context{};
     rtcInitIntersectContext(&context.embree);
     context.opacity_u = opacity_u;
+    // Camera rays of one packet are neighbours in the image: the BVH is walked for all of them at once.
+    if (kind == RayKind::camera) context.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     const Impl& impl = *impl_;
     for (std::size_t i = 0; i < count; i += kLanes) {
         alignas(kAlignment) Packet<kLanes>::RayHit packet;

@@ -39,7 +39,8 @@ struct HitColumns {
 class Accel {
 public:
     // geometry and lights are referred to, not copied: they must outlive the Accel.
-    Accel(const Geometry& geometry, const LightTable& lights, int threads);
+    // Builds with the threads of the calling task arena.
+    Accel(const Geometry& geometry, const LightTable& lights);
     ~Accel();
     Accel(const Accel&) = delete;
     Accel& operator=(const Accel&) = delete;

@@ -1,4 +1,4 @@
-// Lookup of what single-scattering GGX reflects in all: its albedo at Fresnel 1, and the share of it that goes with f90.
+// Lookup of what single-scattering GGX reflects in all: its albedo at Fresnel 1, and the share of it that follows f90.
 // Bilinear, from tables integrated in double at build time by albedo_table_gen.cpp.
 #pragma once
 
@@ -32,12 +32,12 @@ inline F ggx_albedo(F cos_o, F alpha) {
     return albedo_table_lookup(kGgxAlbedo, albedo_column(cos, alpha), albedo_row(alpha));
 }
 
-// Mean Schlick weight of the reflected light: f0, f90 reflect E (f0 + (f90 - f0) share). The table holds its fifth root,
-// which is nearly a straight line.
+// Mean Schlick weight of the reflected light: f0, f90 reflect E (f0 + (f90 - f0) share). The table holds its fifth
+// root, which is nearly a straight line.
 template <class F>
 inline F ggx_schlick_share(F cos_o, F alpha) {
     const F cos = clamp(cos_o, F(0), F(1));
-    const F root = albedo_table_lookup(kGgxSchlickRoot, schlick_column(cos), albedo_row(alpha));
+    const F root = albedo_table_lookup(kGgxSchlickRoot, schlick_column(cos), schlick_row(alpha));
     const F root2 = root * root;
     return root2 * root2 * root;
 }

@@ -8,31 +8,34 @@ namespace footlight {
 inline constexpr int kAlbedoColumns = 48;  // over cos_o
 inline constexpr int kAlbedoRows = 48;     // over alpha
 
-// Rows go with the square root of alpha, in [0, kAlbedoRows - 1].
-template <class F>
-inline F albedo_row(F alpha) {
-    return sqrt(alpha) * F(kAlbedoRows - 1);
-}
-inline double albedo_row_alpha(int row) {
-    const double y = row / (kAlbedoRows - 1.0);
-    return y * y;
-}
-
 // The albedo dips where cos_o ~ alpha, however small: columns go with sqrt(r / (1 + r)), r = cos_o / alpha, brought to
-// [0, kAlbedoColumns - 1]. Bilinear error 6e-4; over plain cos_o it is 0.1.
+// [0, kAlbedoColumns - 1], rows with alpha. Bilinear error 6e-4; over plain cos_o it is 0.1.
 template <class F>
 inline F albedo_column(F cos_o, F alpha) {
-    return sqrt(cos_o * (F(1) + alpha) / (cos_o + alpha)) * F(kAlbedoColumns - 1);
+    return sqrt(fma(cos_o, alpha, cos_o) / (cos_o + alpha)) * F(kAlbedoColumns - 1);
 }
+template <class F>
+inline F albedo_row(F alpha) {
+    return alpha * F(kAlbedoRows - 1);
+}
+inline double albedo_row_alpha(int row) { return row / (kAlbedoRows - 1.0); }
 inline double albedo_column_cos(int column, double alpha) {
     const double x = column / (kAlbedoColumns - 1.0);
     return alpha * x * x / (1 + alpha - x * x);
 }
 
-// The share of f90 has no such dip: its columns go with sqrt(cos_o).
+// The share of f90 has no such dip, and bends where both are small: columns go with sqrt(cos_o), rows with sqrt(alpha).
 template <class F>
 inline F schlick_column(F cos_o) {
     return sqrt(cos_o) * F(kAlbedoColumns - 1);
+}
+template <class F>
+inline F schlick_row(F alpha) {
+    return sqrt(alpha) * F(kAlbedoRows - 1);
+}
+inline double schlick_row_alpha(int row) {
+    const double y = row / (kAlbedoRows - 1.0);
+    return y * y;
 }
 inline double schlick_column_cos(int column) {
     const double x = column / (kAlbedoColumns - 1.0);

@@ -45,7 +45,8 @@ void write_table(std::ostream& out, const char* name, Value value) {
     for (int row = 0; row < kAlbedoRows; ++row) {
         std::vector<std::uint32_t> fractions;
         for (int column = 0; column < kAlbedoColumns; ++column) {
-            fractions.push_back(static_cast<std::uint32_t>(std::lround(std::clamp(value(row, column), 0.0, 1.0) * 0xffff)));
+            fractions.push_back(
+                static_cast<std::uint32_t>(std::lround(std::clamp(value(row, column), 0.0, 1.0) * 0xffff)));
         }
         for (int column = 0; column + 1 < kAlbedoColumns; ++column) {
             out << "0x" << std::hex << (fractions[column] | fractions[column + 1] << 16) << std::dec
@@ -69,13 +70,13 @@ int main(int argc, char** argv) {
            "#pragma once\n\n#include <cstdint>\n\nnamespace footlight {\n\n";
     // The limit at grazing incidence is taken a little above it, where every visible normal still reflects.
     constexpr double kGrazing = 1e-7;
-    const auto alpha = [](int row) { return std::max(albedo_row_alpha(row), kGgxMinAlpha); };
     write_table(out, "kGgxAlbedo", [&](int row, int column) {
-        const double cos_o = albedo_column_cos(column, alpha(row));
-        return integrate(std::clamp(cos_o, kGrazing * alpha(row), 1.0), alpha(row)).albedo;
+        const double alpha = std::max(albedo_row_alpha(row), kGgxMinAlpha);
+        return integrate(std::clamp(albedo_column_cos(column, alpha), kGrazing * alpha, 1.0), alpha).albedo;
     });
     write_table(out, "kGgxSchlickRoot", [&](int row, int column) {
-        return integrate(std::max(schlick_column_cos(column), kGrazing), alpha(row)).schlick_root;
+        const double alpha = std::max(schlick_row_alpha(row), kGgxMinAlpha);
+        return integrate(std::max(schlick_column_cos(column), kGrazing), alpha).schlick_root;
     });
     out << "\n}  // namespace footlight\n";
     out.close();

@@ -40,10 +40,10 @@ inline F ggx_visibility(Vec3<F> wo, Vec3<F> wi, F alpha) {
 // All members share the factor m, which saves the division in k = l / m. Eto and Tokuyoshi 2023, eq. 5.
 template <class F>
 struct GgxCap {
-    F m;         // s^2 + alpha^2 cos_o^2, s = 1 + sin_o; in [1, 5]
-    F stretched; // m * stretched length of wo
-    F k_cos;     // m * k * cos_o
-    F rest_cos;  // m * (1 - k) * cos_o, without cancellation
+    F m;          // s^2 + alpha^2 cos_o^2, s = 1 + sin_o; in [1, 5]
+    F stretched;  // m * stretched length of wo
+    F k_cos;      // m * k * cos_o
+    F rest_cos;   // m * (1 - k) * cos_o, without cancellation
 };
 template <class F>
 inline GgxCap<F> ggx_cap(Vec3<F> wo, F alpha) {

@@ -33,11 +33,11 @@ struct LobeSample {
 
 template <class L, class F>
 concept Lobe = requires(const L lobe, Vec3<F> w, F x) {
-    { lobe.eval(w, w) } -> std::same_as<LobeEval<F>>;
-    { lobe.sample(w, x, x) } -> std::same_as<LobeSample<F>>;
-    { lobe.albedo(x) } -> std::same_as<Rgb<F>>;
-    { L::is_delta } -> std::convertible_to<bool>;
-};
+                   { lobe.eval(w, w) } -> std::same_as<LobeEval<F>>;
+                   { lobe.sample(w, x, x) } -> std::same_as<LobeSample<F>>;
+                   { lobe.albedo(x) } -> std::same_as<Rgb<F>>;
+                   { L::is_delta } -> std::convertible_to<bool>;
+               };
 
 template <class F>
 struct Lambert;

@@ -13,6 +13,8 @@ namespace {
 
 // Side of the squares over which the error is pooled: 256 pixels keep the estimate within a few per cent.
 constexpr int kErrorTile = 16;
+// Tiles darker than this share of the image's mean are measured against it: noise in the black is not what is seen.
+constexpr double kDarkTile = 0.1;
 
 bool nearer(const float depth, const float* position, float other_depth, const float* other) {
     if (depth != other_depth) return depth < other_depth;
@@ -157,23 +159,32 @@ std::vector<float> Film::read(Aov aov, int x0, int y0, int width, int height) co
 }
 
 FilmError Film::error() const {
-    std::vector<double> errors;
+    struct Tile {
+        double deviation, mean;
+    };
+    std::vector<Tile> tiles;
+    double image_mean = 0;
     for (int ty = 0; ty * kErrorTile < height_; ++ty)
         for (int tx = 0; tx * kErrorTile < width_; ++tx) {
             const PixelVariance v = tile_variance(tx, ty);
             const double variance = (v.variance[0] + v.variance[1] + v.variance[2]) / 3;
+            if (std::isnan(variance)) return {variance, variance};
             double mean = 0;
             int pixels = 0;
             for (int y = ty * kErrorTile; y < std::min(height_, (ty + 1) * kErrorTile); ++y)
                 for (int x = tx * kErrorTile; x < std::min(width_, (tx + 1) * kErrorTile); ++x, ++pixels)
                     for (int c = 0; c < 3; ++c) mean += pixel_mean(color_[index(x, y)], c) / 3;
-            mean = std::abs(mean) / pixels;
-            if (std::isnan(variance)) return {variance, variance};
-            if (variance > 0 || mean > 0) errors.push_back(mean > 0 ? std::sqrt(variance) / mean : 1.0);
+            tiles.push_back({std::sqrt(variance), std::abs(mean) / pixels});
+            image_mean += tiles.back().mean;
         }
-    if (errors.empty()) return {0, 0};
+    image_mean /= static_cast<double>(tiles.size());
+    if (!(image_mean > 0)) return {0, 0};
+    std::vector<double> errors;
     double sum = 0;
-    for (const double e : errors) sum += e;
+    for (const Tile& tile : tiles) {
+        errors.push_back(tile.deviation / std::max(tile.mean, kDarkTile * image_mean));
+        sum += errors.back();
+    }
     const std::size_t rank = std::min(errors.size() - 1, errors.size() * 95 / 100);
     std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(rank), errors.end());
     return {sum / static_cast<double>(errors.size()), errors[rank]};

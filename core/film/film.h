@@ -23,7 +23,8 @@ struct SampleColumns {
     std::array<const float*, 3> position;  // relative to the render origin
 };
 
-// Relative standard error of the image: sqrt(mean variance of a 16x16 tile) / mean of the tile.
+// Relative standard error of a pixel: sqrt(mean variance of a 16x16 tile) / mean of the tile, or a tenth of the image's mean
+// where the tile is darker than that.
 struct FilmError {
     double mean;  // over tiles; NaN before both replicates have samples
     double p95;   // 95th percentile over tiles

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "light/light_sample.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -52,7 +53,7 @@ struct CylinderLight {
 
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> p, F u0, F u1) {
         const View v = view(row, p);
-        const SinCos<F> psi = sin_cos(fma(F(2) * u0, v.psi_max, -v.psi_max));
+        const SinCos<F> psi = sin_cos_half_pi(fma(F(2) * u0, v.psi_max, -v.psi_max));
         const Line l = line(row, v, psi.sin, psi.cos);
         const F sine = fma(u1, l.sin_end - l.sin_begin, l.sin_begin);
         const F cos2 = max((F(1) - sine) * (F(1) + sine), F(0x1p-100F));
@@ -69,8 +70,9 @@ struct CylinderLight {
         const F planar = length(in_plane), inverse = F(1) / planar;
         const F sin_psi = dot(in_plane, v.across) * inverse, cos_psi = dot(in_plane, v.towards) * inverse;
         const LightHit<F> found = answer(row, v, line(row, v, sin_psi, cos_psi));
-        // beyond the closest approach to the axis the ray has come in through an open end, and sees the dark inside
-        const Mask<F> front = distance * planar < v.distance * cos_psi;
+        // Beyond the closest approach to the axis the ray has come in through an open end, and sees the dark inside. The
+        // margin is for rounding, at the rim, where near and far side meet.
+        const Mask<F> front = distance * planar <= v.distance * cos_psi * F(1 + 0x1p-18);
         return select_hit<F>(front, found, no_light_hit<F>());
     }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "light/light_sample.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -13,10 +14,8 @@ struct DiskLight {
 
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> p, F u0, F u1) {
         const Vec3<F> to_center = row.center - p;
-        const F radius = sqrt(u0);
-        const SinCos<F> angle = sin_cos(u1 * F(2 * kPi));
-        const Vec3<F> to_point = to_center + row.u * (row.size_u * radius * angle.cos) +
-                                 row.v * (row.size_v * radius * angle.sin);
+        const Disk<F> q = uniform_disk(u0, u1);
+        const Vec3<F> to_point = to_center + row.u * (row.size_u * q.x) + row.v * (row.size_v * q.y);
         const F distance = length(to_point);
         const LightHit<F> found = answer(row, to_center, distance);
         return {to_point * (F(1) / distance), distance, found.radiance, found.pdf, found.pdf > F(0), Mask<F>(false)};

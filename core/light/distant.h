@@ -2,6 +2,8 @@
 #pragma once
 
 #include "light/light_sample.h"
+#include "math/frame.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -15,9 +17,7 @@ struct DistantLight {
     static constexpr double kDeltaAngle = 0x1p-16;
 
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> /*p*/, F u0, F u1) {
-        const F k = u0 * row.size_u, sine = sqrt(k * (F(2) - k));
-        const SinCos<F> angle = sin_cos(u1 * F(2 * kPi));
-        const Vec3<F> wi = row.u * (sine * angle.cos) + row.v * (sine * angle.sin) + row.n * (F(1) - k);
+        const Vec3<F> wi = to_world(Frame<F>{row.u, row.v, row.n}, uniform_cone(u0, u1, row.size_u));
         const Mask<F> is_delta = row.size_u == F(0);
         return {wi, infinity<F>(), row.radiance, select(is_delta, F(1), row.density), row.density > F(0), is_delta};
     }

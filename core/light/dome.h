@@ -5,6 +5,7 @@
 
 #include "light/light_sample.h"
 #include "math/distribution.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -39,10 +40,7 @@ struct DomeLight {
 
     // A dome of one colour needs no table: every direction is as good.
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> /*p*/, F u0, F u1) {
-        const F sine = F(2) * sqrt(u0 * (F(1) - u0));
-        const SinCos<F> angle = sin_cos(u1 * F(2 * kPi));
-        return {{sine * angle.cos, sine * angle.sin, F(1) - F(2) * u0}, infinity<F>(), row.radiance, row.density,
-                row.density > F(0), Mask<F>(false)};
+        return {uniform_sphere(u0, u1),  infinity<F>(), row.radiance, row.density, row.density > F(0), Mask<F>(false)};
     }
     static LightHit<F> escape(const LightRow<F>& row, Vec3<F> /*wi*/) {
         return hit_where(row.density > F(0), row.radiance, row.density);
@@ -102,8 +100,8 @@ struct DomeLight {
         const F root = sqrt(F(2) * select(left, texel.u, F(1) - texel.u));
         const F aside = select(left, root - F(1), F(1) - root);
         const F x = (to_number<F>(texel.column) + F(0.5) + aside) * F(1.0F / static_cast<float>(image.width));
-        const SinCos<F> angle = sin_cos((F(0.5) - x) * F(2 * kPi));
-        const Vec3<F> wi = row.u * (sine * angle.sin) + row.v * cosine + row.n * (sine * angle.cos);
+        const SinCos<F> angle = sin_cos_turn(x - floor(x));  // of minus the longitude
+        const Vec3<F> wi = row.u * (-sine * angle.sin) + row.v * cosine + row.n * (sine * angle.cos);
         const LightHit<F> found = escape(image, row, wi);
         return {wi, infinity<F>(), found.radiance, found.pdf, found.pdf > F(0), Mask<F>(false)};
     }

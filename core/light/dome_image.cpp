@@ -79,7 +79,7 @@ std::vector<double> make_rows(DomeImage& image) {
 }  // namespace
 
 PreparedDome prepare_dome(const float* texels, std::uint32_t width, std::uint32_t height,
-                          const std::array<double, 3>& emission) {
+                          const std::array<double, 3>& emission, bool compensate) {
     PreparedDome dome{};
     DomeImage& image = dome.image;
     image.width = width;
@@ -110,6 +110,11 @@ PreparedDome prepare_dome(const float* texels, std::uint32_t width, std::uint32_
         for (std::size_t c = 0; c < 3; ++c) dome.mean[c] = double{image.texels[c]};
         dome.image = {};
         return dome;
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+        const double excess = std::max(weights[i] - dome.magnitude * shares[i / width] / (2.0 * width), 0.0);
+        dome.excess += excess;
+        if (compensate) weights[i] = excess;
     }
     image.table = Distribution2D(weights, width, height);
     for (std::size_t i = 0; i < count; ++i) {

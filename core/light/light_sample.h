@@ -1,6 +1,8 @@
 // What every light kernel reads and answers. The conventions are at the head of light.h.
 #pragma once
 
+#include <limits>
+
 #include "math/vec.h"
 
 namespace footlight {
@@ -81,22 +83,23 @@ inline LightHit<F> hit_where(Mask<F> lit, Rgb<F> radiance, F pdf) {
     return select_hit<F>(counts, {radiance, pdf}, no_light_hit<F>());
 }
 
-// Rounds the residual c - a * b once, also where the hardware has no fma: the product's rounding error is found by
-// Dekker's splitting (1971). The residual of a far ray against a small light is all rounding error otherwise.
+// c - a * b, rounded once also where the hardware has no fma (batches of 4): Dekker 1971 splits the product there.
+// Against a small light far away the residual is otherwise all rounding error.
 template <class F>
 inline F residual(F c, F a, F b) {
-#if defined(__FMA__)
-    return fma(-a, b, c);
-#else
     if constexpr (!is_batch<F>) {
         return fma(-a, b, c);
+    } else if constexpr (F::size > 4) {
+        return fma(-a, b, c);
     } else {
-        const auto high = [](F x) { const F t = x * F(4097.0F); return t - (t - x); };
+        const auto high = [](F x) {
+            const F t = x * F(4097.0F);
+            return t - (t - x);
+        };
         const F product = a * b, a1 = high(a), b1 = high(b), a2 = a - a1, b2 = b - b1;
         const F error = ((a1 * b1 - product) + a1 * b2 + a2 * b1) + a2 * b2;
         return (c - product) - error;
     }
-#endif
 }
 
 }  // namespace footlight

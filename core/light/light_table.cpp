@@ -63,7 +63,7 @@ void add_row(LightTable& table, LightKind kind, const Row& row, const LightDesc&
     const bool is_infinite = kind == LightKind::distant || kind == LightKind::dome;
     (is_infinite ? table.infinite : table.finite).push_back(table.size());
     table.kinds |= 1U << static_cast<std::uint32_t>(kind);
-    table.info.push_back({kind, desc.path, desc.visible_to_camera, power, std::move(note)});
+    table.info.push_back({kind, desc.path, desc.visible_to_camera, power, power > 0, std::move(note)});
 }
 
 // The common end of all lights with a surface. area in render space; sides: solid angle of emission over pi.
@@ -181,13 +181,13 @@ std::string append_dome(LightTable& table, const DomeLightDesc& desc) {
     r.v = unit(row(m, 1));
     r.u = unit(row(m, 0) - r.v * dot(row(m, 0), r.v));
     r.n = cross(r.u, r.v) * (determinant(m) < 0 ? -1.0 : 1.0);
-    PreparedDome dome{.mean = desc.emission, .magnitude = magnitude(desc.emission), .is_constant = true, .image = {}, .note = ""};
+    PreparedDome dome{.mean = desc.emission, .magnitude = magnitude(desc.emission), .excess = 0, .is_constant = true, .image = {}, .note = ""};
     if (desc.image != nullptr) {
         if (desc.width == 0 || desc.height == 0) return "its image is empty";
         if (desc.width > kMaxRowEntries || desc.height > kMaxRowEntries ||
             std::uint64_t{desc.width} * desc.height >= (std::uint64_t{1} << 29))
             return "its image has more than 2^29 texels, or more than 2^20 in one direction";
-        dome = prepare_dome(desc.image, desc.width, desc.height, desc.emission);
+        dome = prepare_dome(desc.image, desc.width, desc.height, desc.emission, desc.compensate);
     }
     if (!is_usable(dome.magnitude)) return dome.magnitude > 0 ? "its radiance is out of the range of float" : "its image is black";
     if (dome.is_constant) {
@@ -197,20 +197,27 @@ std::string append_dome(LightTable& table, const DomeLightDesc& desc) {
     } else {
         table.domes.push_back({table.size(), std::move(dome.image)});
     }
-    add_row(table, LightKind::dome, r, desc, 4 * kPi * dome.magnitude, std::move(dome.note));
+    // Of a compensated dome only the excess over the mean is sampled; one colour has none.
+    const double sampled = !desc.compensate ? dome.magnitude : dome.is_constant ? 0 : dome.excess;
+    add_row(table, LightKind::dome, r, desc, 4 * kPi * sampled, std::move(dome.note));
     return "";
 }
 
 void finalize(LightTable& table, double scene_radius) {
-    // The power that infinite lights send into the scene.
-    for (const std::uint32_t i : table.infinite) table.info[i].power *= kPi * scene_radius * scene_radius;
+    const double radius = scene_radius > 0 ? scene_radius : 1;  // an empty scene, or a single point
+    for (const std::uint32_t i : table.infinite) table.info[i].power *= kPi * radius * radius;
     double total = 0;
-    for (const LightInfo& info : table.info) total += info.power;
+    std::size_t sampled = 0;
+    for (const LightInfo& info : table.info) {
+        total += info.power;
+        sampled += info.sampled ? 1 : 0;
+    }
+    if (sampled == 0) return;
     // A fifth of the choices is spread evenly: power says nothing of distance, and a faint light close to a surface must
     // not depend on one sample in a million. It costs the brightest light at most a fifth of its samples.
     std::vector<double> weights;
     for (const LightInfo& info : table.info)
-        weights.push_back(0.8 * info.power / total + 0.2 / static_cast<double>(table.size()));
+        weights.push_back(info.sampled ? 0.8 * info.power / total + 0.2 / static_cast<double>(sampled) : 0.0);
     table.selection = Distribution1D(weights);
 }
 

@@ -1,6 +1,7 @@
 // The lights of a scene as kernels read them, and the functions that fill the table in double precision.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <optional>
 #include <string>
@@ -39,6 +40,9 @@ struct DistantLightDesc : LightDesc {
 struct DomeLightDesc : LightDesc {
     const float* image = nullptr;  // (height, width, 3), latitude-longitude, top row first; none: one colour
     std::uint32_t width = 0, height = 0;
+    // Sample only what is brighter than the mean, and leave the rest to BSDF sampling: less error at equal time, but
+    // right only where both strategies are combined. Karlik et al. 2019, "MIS Compensation", section 4.
+    bool compensate = false;
 };
 
 // What the host, not a kernel, needs to know of a light.
@@ -47,6 +51,7 @@ struct LightInfo {
     std::string path;
     bool visible_to_camera;
     double power;      // |emitted power|, mean of the channels; for infinite lights see finalize
+    bool sampled;      // false: only rays that escape find it
     std::string note;  // what was changed to make it usable, for the report; empty if nothing
 };
 
@@ -63,6 +68,9 @@ struct LightTable {
     Distribution1D selection;
 
     std::uint32_t size() const { return static_cast<std::uint32_t>(info.size()); }
+    bool any_sampled() const {
+        return std::any_of(info.begin(), info.end(), [](const LightInfo& i) { return i.sampled; });
+    }
     bool has(LightKind kind) const { return (kinds >> static_cast<std::uint32_t>(kind) & 1U) != 0; }
 };
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "light/light_sample.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -54,7 +55,7 @@ struct RectLight {
         // D = |sin| of the elevation of edge y1 less that of edge y0
         const F difference = z2 * (s.y1 - s.y0) * (s.y1 + s.y0) / ((abs(s.y1) * r0 + abs(s.y0) * r1) * (r0 * r1));
         const F beta = fma(u0, s.solid_angle, s.begin);
-        const SinCos<F> half = sin_cos(beta * F(0.5));
+        const SinCos<F> half = sin_cos_half_pi(beta * F(0.5));
         const Mask<F> same_side = s.y0 * s.y1 > F(0);
         const F q = select(same_side, half.sin * half.sin, half.cos * half.cos);
         const F d2 = difference * difference;

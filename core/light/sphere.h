@@ -3,6 +3,7 @@
 
 #include "light/light_sample.h"
 #include "math/frame.h"
+#include "math/warp.h"
 
 namespace footlight {
 
@@ -22,18 +23,17 @@ struct SphereLight {
     static Cone cone(const LightRow<F>& row, Vec3<F> p) {
         const Vec3<F> to_center = row.center - p;
         const F distance = length(to_center), sine = row.size_u / distance, sin2 = sine * sine;
-        return {to_center, distance, sin2, sin2 / (F(1) + safe_sqrt(F(1) - sin2)), distance > row.size_u};
+        return {to_center, distance, sin2, cone_one_minus_cos(sin2), distance > row.size_u};
     }
 
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> p, F u0, F u1) {
         const Cone c = cone(row, p);
-        const F k = u0 * c.one_minus_cos, cosine = F(1) - k, sin2 = k * (F(2) - k), sine = sqrt(sin2);
-        const SinCos<F> angle = sin_cos(u1 * F(2 * kPi));
-        const Frame<F> frame = make_frame(c.to_center * (F(1) / c.distance));
-        const Vec3<F> wi = to_world(frame, {sine * angle.cos, sine * angle.sin, cosine});
+        const Vec3<F> local = uniform_cone(u0, u1, c.one_minus_cos);
+        const Vec3<F> wi = to_world(make_frame(c.to_center * (F(1) / c.distance)), local);
         // nearer root of the chord, as product over sum of the roots: no difference of nearly equal lengths
+        const F sin2 = local.x * local.x + local.y * local.y;
         const F r = row.size_u, chord = r * safe_sqrt(F(1) - sin2 / c.sin2);
-        const F distance = (c.distance - r) * (c.distance + r) / fma(c.distance, cosine, chord);
+        const F distance = (c.distance - r) * (c.distance + r) / fma(c.distance, local.z, chord);
         const LightHit<F> found = answer(row, c);
         return {wi, distance, found.radiance, found.pdf, found.pdf > F(0), Mask<F>(false)};
     }
@@ -56,7 +56,7 @@ struct SphereLight {
 
   private:
     static LightHit<F> answer(const LightRow<F>& row, const Cone& c) {
-        return hit_where(c.outside, row.radiance, F(1.0 / (2 * kPi)) / c.one_minus_cos);
+        return hit_where(c.outside, row.radiance, uniform_cone_pdf(c.one_minus_cos));
     }
 };
 

@@ -6,6 +6,7 @@
 // the probability a kernel divides by is the one it draws with.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <span>
@@ -55,33 +56,68 @@ inline std::vector<float> make_cdf(std::span<const double> weights) {
     return cdf;
 }
 
-// Picks from the cdf of `count` entries that starts at cdf[base]. u in [0, 1).
-template <class F>
-inline DiscreteSample<F> sample_cdf(const float* cdf, UInt<F> base, std::uint32_t count, F u) {
-    UInt<F> low = base;
-    for (std::uint32_t length = count; length > 1;) {  // the last entry whose cdf is <= u: never one of zero width
-        const std::uint32_t half = length / 2;
-        const UInt<F> middle = low + UInt<F>(half);
-        low = select(gather<F>(cdf, middle) <= u, middle, low);
-        length -= half;
+// Where to look: with `buckets` a power of two, entry b is the index that u = b / buckets picks, so the index that u picks
+// lies between entries floor(u * buckets) and that plus one. buckets + 1 numbers. With it a lane reads one or two cache
+// lines of a long row instead of one per halving (measured on a 2048 x 1024 dome of noise: 105 instead of 144 ns a sample).
+inline std::vector<std::uint32_t> make_guide(std::span<const float> cdf, std::uint32_t buckets) {
+    std::vector<std::uint32_t> guide(buckets + 1);
+    std::uint32_t index = 0;
+    const auto last = static_cast<std::uint32_t>(cdf.size() - 2);
+    for (std::uint32_t b = 0; b <= buckets; ++b) {
+        const double u = std::min(static_cast<double>(b) / buckets, 1 - 0x1p-24);
+        while (index < last && double{cdf[index + 1]} <= u) ++index;
+        guide[b] = index;
     }
-    const F begin = gather<F>(cdf, low);
-    const F width = gather<F>(cdf, low + UInt<F>(1U)) - begin;
-    return {low - base, width, min((u - begin) / width, F(1.0 - 0x1p-24))};
+    return guide;
+}
+// A quarter of the entries, as a power of two.
+inline std::uint32_t guide_buckets(std::size_t entries) {
+    return std::bit_floor(std::max(1U, static_cast<std::uint32_t>(entries / 4)));
+}
+
+// One row of a table in memory: a cdf from cdf[base], its guide from guide[guide_base].
+template <class F>
+struct CdfRow {
+    const float* cdf;
+    const std::uint32_t* guide;
+    std::uint32_t buckets;
+    UInt<F> base, guide_base;
+};
+
+// u in [0, 1).
+template <class F>
+inline DiscreteSample<F> sample_cdf(const CdfRow<F>& row, F u) {
+    const UInt<F> bucket = row.guide_base + to_uint(u * F(static_cast<float>(row.buckets)));
+    const UInt<F> first = gather_uint<F>(row.guide, bucket);
+    UInt<F> low = row.base + first;
+    UInt<F> length = gather_uint<F>(row.guide, bucket + UInt<F>(1U)) - first + UInt<F>(1U);
+    while (any(to_number<F>(length) > F(1))) {  // the last entry whose cdf is <= u: never one of zero width
+        const UInt<F> half = length >> 1;
+        const UInt<F> middle = low + half;
+        low = select(gather<F>(row.cdf, middle) <= u, middle, low);
+        length = length - half;
+    }
+    const F begin = gather<F>(row.cdf, low);
+    const F width = gather<F>(row.cdf, low + UInt<F>(1U)) - begin;
+    return {low - row.base, width, min((u - begin) / width, F(1.0F - 0x1p-24F))};
 }
 
 // One row.
 struct Distribution1D {
     std::vector<float> cdf;
+    std::vector<std::uint32_t> guide;
 
     Distribution1D() = default;
-    explicit Distribution1D(std::span<const double> weights) : cdf(make_cdf(weights)) {}
+    explicit Distribution1D(std::span<const double> weights) : cdf(make_cdf(weights)) {
+        if (!cdf.empty()) guide = make_guide(cdf, guide_buckets(weights.size()));
+    }
 
     std::uint32_t size() const { return cdf.empty() ? 0U : static_cast<std::uint32_t>(cdf.size() - 1); }
 
     template <class F>
     DiscreteSample<F> sample(F u) const {
-        return sample_cdf<F>(cdf.data(), UInt<F>(0U), size(), u);
+        const auto buckets = static_cast<std::uint32_t>(guide.size() - 1);
+        return sample_cdf<F>({cdf.data(), guide.data(), buckets, UInt<F>(0U), UInt<F>(0U)}, u);
     }
     template <class F>
     F probability(UInt<F> index) const {
@@ -99,21 +135,27 @@ struct DiscreteSample2D {
 struct Distribution2D {
     std::uint32_t width = 0, height = 0;
     Distribution1D rows;
-    std::vector<float> columns;  // height times (width + 1)
+    std::uint32_t buckets = 0;
+    std::vector<float> columns;               // (height, width + 1)
+    std::vector<std::uint32_t> column_guide;  // (height, buckets + 1)
 
     Distribution2D() = default;
     // weights (height, width), row by row
     Distribution2D(std::span<const double> weights, std::uint32_t width_, std::uint32_t height_)
-        : width(width_), height(height_) {
+        : width(width_), height(height_), buckets(guide_buckets(width_)) {
         if (weights.size() != std::size_t{width} * height)
             throw std::invalid_argument("distribution: the number of weights is not width times height");
         columns.assign(std::size_t{height} * (width + 1), 0.0F);
+        column_guide.assign(std::size_t{height} * (buckets + 1), 0U);
         std::vector<double> row_weights(height);
         for (std::uint32_t y = 0; y < height; ++y) {
             const auto row = weights.subspan(std::size_t{y} * width, width);
             for (const double w : row) row_weights[y] += w;
             const std::vector<float> cdf = make_cdf(row);
+            if (cdf.empty()) continue;
             std::copy(cdf.begin(), cdf.end(), columns.begin() + static_cast<std::ptrdiff_t>(y) * (width + 1));
+            const std::vector<std::uint32_t> guide = make_guide(cdf, buckets);
+            std::copy(guide.begin(), guide.end(), column_guide.begin() + static_cast<std::ptrdiff_t>(y) * (buckets + 1));
         }
         rows = Distribution1D(row_weights);
     }
@@ -123,7 +165,9 @@ struct Distribution2D {
     template <class F>
     DiscreteSample2D<F> sample(F u, F v) const {
         const DiscreteSample<F> row = rows.sample<F>(v);
-        const DiscreteSample<F> column = sample_cdf<F>(columns.data(), row.index * UInt<F>(width + 1), width, u);
+        const CdfRow<F> columns_of_row{columns.data(), column_guide.data(), buckets, row.index * UInt<F>(width + 1),
+                                       row.index * UInt<F>(buckets + 1)};
+        const DiscreteSample<F> column = sample_cdf(columns_of_row, u);
         return {column.index, row.index, column.remapped, row.remapped};
     }
     // Probability of one entry, in double: for tables built on top, not for kernels.

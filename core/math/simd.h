@@ -40,7 +40,9 @@ inline constexpr bool is_batch = !std::is_same_v<Mask<F>, bool>;
 // --- choice ---
 template <class T>
     requires std::is_arithmetic_v<T>
-inline T select(bool mask, T a, T b) { return mask ? a : b; }
+inline T select(bool mask, T a, T b) {
+    return mask ? a : b;
+}
 template <class A>
 inline xsimd::batch<float, A> select(xsimd::batch_bool<float, A> mask, xsimd::batch<float, A> a,
                                      xsimd::batch<float, A> b) {
@@ -56,9 +58,13 @@ inline xsimd::batch<std::uint32_t, A> select(xsimd::batch_bool<float, A> mask, x
 inline bool any(bool mask) { return mask; }
 inline bool all(bool mask) { return mask; }
 template <class A>
-inline bool any(xsimd::batch_bool<float, A> mask) { return xsimd::any(mask); }
+inline bool any(xsimd::batch_bool<float, A> mask) {
+    return xsimd::any(mask);
+}
 template <class A>
-inline bool all(xsimd::batch_bool<float, A> mask) { return xsimd::all(mask); }
+inline bool all(xsimd::batch_bool<float, A> mask) {
+    return xsimd::all(mask);
+}
 
 // One bit per lane, lane 0 lowest.
 template <class A>
@@ -87,69 +93,131 @@ inline Mask<F> equal(UInt<F> a, UInt<F> b) {
 
 // --- arithmetic ---
 template <class F>
-inline F sqrt(F x) { if constexpr (is_batch<F>) return xsimd::sqrt(x); else return std::sqrt(x); }
+inline F sqrt(F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::sqrt(x);
+    else
+        return std::sqrt(x);
+}
 // Square root of max(x, 0): for 1 - c^2 forms that rounding may push below zero.
 template <class F>
 inline F safe_sqrt(F x);
 template <class F>
-inline F abs(F x) { if constexpr (is_batch<F>) return xsimd::abs(x); else return std::abs(x); }
+inline F abs(F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::abs(x);
+    else
+        return std::abs(x);
+}
 template <class F>
-inline F min(F a, F b) { if constexpr (is_batch<F>) return xsimd::min(a, b); else return std::min(a, b); }
+inline F min(F a, F b) {
+    if constexpr (is_batch<F>)
+        return xsimd::min(a, b);
+    else
+        return std::min(a, b);
+}
 template <class F>
-inline F max(F a, F b) { if constexpr (is_batch<F>) return xsimd::max(a, b); else return std::max(a, b); }
+inline F max(F a, F b) {
+    if constexpr (is_batch<F>)
+        return xsimd::max(a, b);
+    else
+        return std::max(a, b);
+}
 template <class F>
-inline F safe_sqrt(F x) { return sqrt(max(x, F(0))); }
+inline F safe_sqrt(F x) {
+    return sqrt(max(x, F(0)));
+}
 template <class F>
-inline F clamp(F x, F lo, F hi) { return min(max(x, lo), hi); }
+inline F clamp(F x, F lo, F hi) {
+    return min(max(x, lo), hi);
+}
 // a * b + c, rounded once where the hardware can. xsimd 8.1 has no AVX-512 kernel for it and would round twice; the
 // overload for batches is the more special one, so that an unqualified call does not find xsimd's.
 inline float fma(float a, float b, float c) { return std::fma(a, b, c); }
 inline double fma(double a, double b, double c) { return std::fma(a, b, c); }
 template <class A>
 inline xsimd::batch<float, A> fma(xsimd::batch<float, A> a, xsimd::batch<float, A> b, xsimd::batch<float, A> c) {
-    if constexpr (std::is_base_of_v<xsimd::avx512f, A>) return _mm512_fmadd_ps(a, b, c);
-    else return xsimd::fma(a, b, c);
+    if constexpr (std::is_base_of_v<xsimd::avx512f, A>)
+        return _mm512_fmadd_ps(a, b, c);
+    else
+        return xsimd::fma(a, b, c);
 }
 template <class F>
 inline F copysign(F magnitude, F sign) {
-    if constexpr (is_batch<F>) return xsimd::copysign(magnitude, sign);
-    else return std::copysign(magnitude, sign);
+    if constexpr (is_batch<F>)
+        return xsimd::copysign(magnitude, sign);
+    else
+        return std::copysign(magnitude, sign);
 }
 template <class F>
-inline F floor(F x) { if constexpr (is_batch<F>) return xsimd::floor(x); else return std::floor(x); }
+inline F floor(F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::floor(x);
+    else
+        return std::floor(x);
+}
 template <class F>
-struct SinCos { F sin, cos; };
+struct SinCos {
+    F sin, cos;
+};
 template <class F>
 inline SinCos<F> sin_cos(F x) {
-    if constexpr (is_batch<F>) { const auto r = xsimd::sincos(x); return {r.first, r.second}; }
-    else return {std::sin(x), std::cos(x)};
+    if constexpr (is_batch<F>) {
+        const auto r = xsimd::sincos(x);
+        return {r.first, r.second};
+    } else
+        return {std::sin(x), std::cos(x)};
 }
 template <class F>
-inline F acos(F x) { if constexpr (is_batch<F>) return xsimd::acos(x); else return std::acos(x); }
+inline F acos(F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::acos(x);
+    else
+        return std::acos(x);
+}
 template <class F>
-inline F asin(F x) { if constexpr (is_batch<F>) return xsimd::asin(x); else return std::asin(x); }
+inline F asin(F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::asin(x);
+    else
+        return std::asin(x);
+}
 template <class F>
-inline F atan2(F y, F x) { if constexpr (is_batch<F>) return xsimd::atan2(y, x); else return std::atan2(y, x); }
+inline F atan2(F y, F x) {
+    if constexpr (is_batch<F>)
+        return xsimd::atan2(y, x);
+    else
+        return std::atan2(y, x);
+}
 template <class F>
-inline Mask<F> is_finite(F x) { return abs(x) <= F(3.402823466e+38F); }
+inline Mask<F> is_finite(F x) {
+    return abs(x) <= F(3.402823466e+38F);
+}
 
 // --- conversion and memory ---
 // 24 high bits of x as a number in [0, 1); never 1, whatever x.
 template <class F>
 inline F to_unit(UInt<F> x) {
-    if constexpr (is_batch<F>) return xsimd::to_float(xsimd::bitwise_cast<xsimd::batch<std::int32_t, typename F::arch_type>>(x >> 8)) * F(0x1p-24F);
-    else return static_cast<F>(x >> 8) * F(0x1p-24);
+    if constexpr (is_batch<F>)
+        return xsimd::to_float(xsimd::bitwise_cast<xsimd::batch<std::int32_t, typename F::arch_type>>(x >> 8)) *
+               F(0x1p-24F);
+    else
+        return static_cast<F>(x >> 8) * F(0x1p-24);
 }
 // Truncation of a non-negative number below 2^31.
 template <class F>
 inline UInt<F> to_uint(F x) {
-    if constexpr (is_batch<F>) return xsimd::bitwise_cast<UInt<F>>(xsimd::to_int(x));
-    else return static_cast<std::uint32_t>(x);
+    if constexpr (is_batch<F>)
+        return xsimd::bitwise_cast<UInt<F>>(xsimd::to_int(x));
+    else
+        return static_cast<std::uint32_t>(x);
 }
 template <class F>
 inline F to_number(UInt<F> x) {  // x < 2^31
-    if constexpr (is_batch<F>) return xsimd::to_float(xsimd::bitwise_cast<xsimd::batch<std::int32_t, typename F::arch_type>>(x));
-    else return static_cast<F>(x);
+    if constexpr (is_batch<F>)
+        return xsimd::to_float(xsimd::bitwise_cast<xsimd::batch<std::int32_t, typename F::arch_type>>(x));
+    else
+        return static_cast<F>(x);
 }
 // xsimd 8.1's batch::gather never reaches its hardware kernels, which are declared after their use, and goes lane by
 // lane (15 instead of 9 cycles for 16 lanes).
@@ -170,8 +238,10 @@ inline F gather(const T* table, UInt<F> index) {
 // Through the float kernel, which keeps bits: xsimd 8.1's kernels for integers cannot be called.
 template <class F>
 inline UInt<F> gather_uint(const std::uint32_t* table, UInt<F> index) {
-    if constexpr (is_batch<F>) return xsimd::bitwise_cast<UInt<F>>(gather<F>(reinterpret_cast<const float*>(table), index));
-    else return table[index];
+    if constexpr (is_batch<F>)
+        return xsimd::bitwise_cast<UInt<F>>(gather<F>(reinterpret_cast<const float*>(table), index));
+    else
+        return table[index];
 }
 
 }  // namespace footlight

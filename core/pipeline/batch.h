@@ -59,6 +59,12 @@ struct RowList {
     [[nodiscard]] UIntV load(std::size_t i) const { return UIntV::load_unaligned(&rows[i]); }
 };
 
+// Memory of a counting sort of rows.
+struct SortScratch {
+    std::vector<std::uint32_t> key, rows, begin;
+    explicit SortScratch(std::size_t n) : key(n), rows(n) {}
+};
+
 // Rows [begin, end).
 struct RowRange {
     std::size_t begin = 0, end = 0;

@@ -48,6 +48,7 @@ struct CommittedScene {
     const Accel& accel;
     float exposure;      // multiplies every sample
     bool with_aovs;      // normal, albedo or position are wanted
+    bool sort_rays;      // the BVH outgrows the caches
     bool sample_lights;  // the strategy and the lights call for light samples
 };
 

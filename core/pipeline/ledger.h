@@ -9,8 +9,8 @@
 
 namespace footlight {
 
-enum class StageId { generate, opacity, intersect, escape, light_hit, surface, emission, scatter, shadow, film };
-inline constexpr std::array<std::string_view, 10> kStageNames{"generate",  "opacity", "intersect", "escape",  "light_hit",
+enum class StageId { generate, opacity, sort, intersect, escape, light_hit, surface, emission, scatter, shadow, film };
+inline constexpr std::array<std::string_view, 11> kStageNames{"generate",  "opacity", "sort", "intersect", "escape",  "light_hit",
                                                               "surface", "emission", "scatter", "shadow", "film"};
 
 // What a guard caught. A count above 0 is a defect of the scene or of the renderer, and is shown.

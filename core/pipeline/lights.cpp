@@ -94,8 +94,9 @@ void escape(Worker& w) noexcept {
         for (const std::uint32_t light : scene.lights.infinite) {
             if (w.bounce == 0 && !scene.lights.info[light].visible_to_camera) continue;
             const LightHit<FloatV> found = escape_light<FloatV>(scene.lights, light, a.direction);
-            const FloatV weight =
-                found_weight(scene.options.strategy, a.pdf, found.pdf * FloatV(select_pmf<float>(scene.lights, light)));
+            // What is never sampled has no other strategy to share its weight with.
+            const float pmf = scene.lights.info[light].sampled ? select_pmf<float>(scene.lights, light) : 0.0F;
+            const FloatV weight = found_weight(scene.options.strategy, a.pdf, found.pdf * FloatV(pmf));
             radiance = radiance + found.radiance * weight;
         }
         add_radiance(w, a.path, a.throughput * radiance, std::min<std::size_t>(kLanes, w.misses.count - i));

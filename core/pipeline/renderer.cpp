@@ -17,6 +17,10 @@ namespace {
 
 // Paths per batch: the columns of a batch (about 300 bytes a path) stay in a core's L2 cache.
 constexpr std::size_t kBatchSize = 2048;
+// Above this many triangles rays miss the caches in the BVH, and a large sorted batch is worth its memory traffic.
+constexpr std::size_t kSortTriangles = 200'000;
+constexpr std::size_t kUnitsPerThread = 4;
+constexpr std::size_t kSortedBatchSize = 16'384;
 
 // Flush-to-zero and denormals-are-zero for the lifetime of the object, on this thread only.
 class FlushDenormals {
@@ -45,11 +49,13 @@ double filter_width(const RenderOptions& o) {
     return kPixelFilters[static_cast<std::size_t>(o.pixel_filter)].default_width;
 }
 
-LightTable build_lights(const Scene& scene, Vec3<double> origin, double scene_radius, std::vector<LeftOut>& left_out) {
+LightTable build_lights(const Scene& scene, Vec3<double> origin, double scene_radius, Strategy strategy,
+                        std::vector<LeftOut>& left_out) {
     LightTable table;
     for (AnyLight light : scene.lights()) {
         LightDesc& desc = common(light);
         desc.transform = relative_to(desc.transform, origin);
+        if (auto* dome = std::get_if<DomeLightDesc>(&light)) dome->compensate = strategy == Strategy::mis;
         if (const std::string reason = append(table, light); !reason.empty()) left_out.push_back({desc.path, reason});
     }
     finalize(table, scene_radius);
@@ -68,8 +74,7 @@ double light_extent(const Scene& scene, Vec3<double> origin) {
 }
 
 // 8x8 blocks in Morton order: neighbours in a batch are neighbours in the image.
-std::vector<std::pair<std::uint16_t, std::uint16_t>> tile_order(const Rect& tile) {
-    std::vector<std::pair<std::uint16_t, std::uint16_t>> order;
+void append_pixels(std::vector<Pixel>& order, const Rect& tile) {
     for (unsigned code = 0; code < kTileSize * kTileSize; ++code) {
         unsigned x = 0, y = 0;
         for (unsigned b = 0; b < 6; ++b) {
@@ -77,18 +82,12 @@ std::vector<std::pair<std::uint16_t, std::uint16_t>> tile_order(const Rect& tile
             y |= (code >> (2 * b + 1) & 1U) << b;
         }
         if (static_cast<int>(x) < tile.width && static_cast<int>(y) < tile.height)
-            order.emplace_back(static_cast<std::uint16_t>(tile.x + static_cast<int>(x)),
-                               static_cast<std::uint16_t>(tile.y + static_cast<int>(y)));
+            order.push_back({static_cast<std::uint16_t>(tile.x + static_cast<int>(x)),
+                             static_cast<std::uint16_t>(tile.y + static_cast<int>(y))});
     }
-    return order;
 }
 
 }  // namespace
-
-// Pixels that one thread renders: no other thread touches their sums.
-struct Renderer::Unit {
-    std::vector<std::pair<std::uint16_t, std::uint16_t>> pixels;
-};
 
 class Renderer::Pool {
 public:
@@ -111,8 +110,9 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
     arena.execute([&] {
         geometry_ = build_geometry(scene, origin);
         left_out_ = geometry_.left_out;
-        lights_ = build_lights(scene, origin, std::max(geometry_.scene_radius(), light_extent(scene, origin)), left_out_);
-        accel_ = std::make_unique<Accel>(geometry_, lights_, options_.threads);
+        const double radius = std::max(geometry_.scene_radius(), light_extent(scene, origin));
+        lights_ = build_lights(scene, origin, radius > 0 ? radius : 1, options_.strategy, left_out_);  // nothing but sky has no size
+        accel_ = std::make_unique<Accel>(geometry_, lights_);
     });
     for (const std::uint32_t material : geometry_.meshes.material) lobe_set_of_mesh_.push_back(materials_.lobe_set[material]);
 
@@ -132,13 +132,14 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
         .accel = *accel_,
         .exposure = static_cast<float>(camera.exposure_scale),
         .with_aovs = (options_.aovs & kHitAovs) != 0,
-        .sample_lights = lights_.size() > 0 && (options_.strategy != Strategy::bsdf || delta_lights),
+        .sort_rays = geometry_.triangle_count() > kSortTriangles,
+        .sample_lights = lights_.any_sampled() && (options_.strategy != Strategy::bsdf || delta_lights),
     });
     pipeline_ = assemble_pipeline(*committed_);
     film_ = std::make_unique<Film>(options_.width, options_.height, options_.aovs, origin);
     tiles_x_ = (options_.width + kTileSize - 1) / kTileSize;
     tiles_y_ = (options_.height + kTileSize - 1) / kTileSize;
-    batch_size_ = kBatchSize;
+    batch_size_ = committed_->sort_rays ? kSortedBatchSize : kBatchSize;
     pool_ = std::make_unique<Pool>(*committed_, pipeline_, batch_size_, options_.threads);
 }
 
@@ -152,15 +153,16 @@ Rect Renderer::tile(int index) const {
 bool Renderer::render(std::uint32_t sample_begin, std::uint32_t sample_end, int tile_begin, int tile_end) {
     if (sample_end <= sample_begin || tile_end <= tile_begin) return !cancelled_;
     const std::size_t samples = sample_end - sample_begin;
-    const std::size_t pixels_per_unit = std::max<std::size_t>(1, batch_size_ / samples);
-    std::vector<Unit> units;
-    for (int t = tile_begin; t < tile_end; ++t) {
-        const auto order = tile_order(tile(t));
-        for (std::size_t i = 0; i < order.size(); i += pixels_per_unit) {
-            const auto end = order.begin() + static_cast<std::ptrdiff_t>(std::min(order.size(), i + pixels_per_unit));
-            units.push_back({{order.begin() + static_cast<std::ptrdiff_t>(i), end}});
-        }
-    }
+    // Large batches must still leave every thread several units, or the last one is waited for.
+    const std::size_t pixels = static_cast<std::size_t>(tile_end - tile_begin) * kTileSize * kTileSize;
+    const auto threads = static_cast<std::size_t>(pool_->arena.max_concurrency());
+    const std::size_t share = std::max(kBatchSize, pixels * samples / (threads * kUnitsPerThread));
+    const std::size_t pixels_per_unit = std::max<std::size_t>(1, std::min(batch_size_, share) / samples);
+    std::vector<Pixel> order;
+    for (int t = tile_begin; t < tile_end; ++t) append_pixels(order, tile(t));
+    std::vector<std::span<const Pixel>> units;
+    for (std::size_t i = 0; i < order.size(); i += pixels_per_unit)
+        units.push_back(std::span(order).subspan(i, std::min(pixels_per_unit, order.size() - i)));
     pool_->arena.execute([&] {
         tbb::parallel_for(std::size_t{0}, units.size(), [&](std::size_t i) {
             if (!cancelled_) run_unit(units[i], sample_begin, sample_end);
@@ -169,11 +171,11 @@ bool Renderer::render(std::uint32_t sample_begin, std::uint32_t sample_end, int 
     return !cancelled_;
 }
 
-void Renderer::run_unit(const Unit& unit, std::uint32_t sample_begin, std::uint32_t sample_end) {
+void Renderer::run_unit(std::span<const Pixel> pixels, std::uint32_t sample_begin, std::uint32_t sample_end) {
     const FlushDenormals flush;
     Worker& worker = *pool_->workers.local();
     std::size_t count = 0;
-    for (const auto& [x, y] : unit.pixels)
+    for (const auto& [x, y] : pixels)
         for (std::uint32_t s = sample_begin; s < sample_end; ++s) {
             worker.owners[count++] = {x, y, s};
             if (count == worker.capacity) {

@@ -4,7 +4,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -19,6 +19,10 @@ inline constexpr int kTileSize = 64;
 
 struct Rect {
     int x, y, width, height;  // [pixels], origin top left
+};
+
+struct Pixel {
+    std::uint16_t x, y;
 };
 
 struct SceneCounts {
@@ -50,9 +54,9 @@ public:
     [[nodiscard]] const std::vector<LeftOut>& left_out() const { return left_out_; }
 
 private:
-    struct Unit;
     class Pool;
-    void run_unit(const Unit& unit, std::uint32_t sample_begin, std::uint32_t sample_end);
+    // One thread renders these pixels: no other touches their sums.
+    void run_unit(std::span<const Pixel> pixels, std::uint32_t sample_begin, std::uint32_t sample_end);
 
     RenderOptions options_;
     Effects effects_;

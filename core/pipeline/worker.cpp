@@ -23,7 +23,8 @@ Worker::Worker(const CommittedScene& scene_in, const Pipeline& pipeline_in, std:
       surfaces(rows()),
       shadows(rows()),
       shadow_rays(rows()),
-      occluded(rows()) {}
+      occluded(rows()),
+      sort_scratch(scene_in.sort_rays ? rows() : 0) {}
 
 namespace {
 
@@ -85,12 +86,14 @@ Pipeline assemble_pipeline(const CommittedScene& scene) {
         if (wanted) pipeline.bounce.push_back({id, run});
     };
     add(StageId::opacity, draw_opacity, effects.active(Effect::opacity));
+    add(StageId::sort, sort_paths, scene.sort_rays);
     add(StageId::intersect, intersect);
     add(StageId::escape, escape, effects.active(Effect::dome) || effects.active(Effect::distant_lights));
     add(StageId::light_hit, light_hit, effects.active(Effect::area_lights));
     add(StageId::surface, surface);
     add(StageId::emission, emission, effects.active(Effect::emission));
     add(StageId::scatter, scatter);
+    add(StageId::sort, sort_shadows, scene.sort_rays && scene.sample_lights);
     add(StageId::shadow, shadow, scene.sample_lights);
     return pipeline;
 }

@@ -54,6 +54,8 @@ struct Worker {
     RowList shadow_rays;
     std::vector<std::uint8_t> occluded;
 
+    SortScratch sort_scratch;
+
     Worker(const CommittedScene& scene, const Pipeline& pipeline, std::size_t capacity);
     // Runs of lobe sets begin at full registers: room for one partly filled register each.
     [[nodiscard]] std::size_t rows() const { return capacity + kLobeSets * kLanes; }
@@ -65,12 +67,14 @@ struct Worker {
 // The stages. `generate` and `film` frame every batch; the others are chosen by assemble_pipeline.
 void generate(Worker& worker) noexcept;
 void draw_opacity(Worker& worker) noexcept;
+void sort_paths(Worker& worker) noexcept;
 void intersect(Worker& worker) noexcept;
 void escape(Worker& worker) noexcept;
 void light_hit(Worker& worker) noexcept;
 void surface(Worker& worker) noexcept;
 void emission(Worker& worker) noexcept;
 void scatter(Worker& worker) noexcept;
+void sort_shadows(Worker& worker) noexcept;
 void shadow(Worker& worker) noexcept;
 
 }  // namespace footlight

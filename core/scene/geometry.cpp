@@ -284,7 +284,10 @@ private:
 
 }  // namespace
 
-double Geometry::scene_radius() const { return length(widen(bounds_max) - widen(bounds_min)) * 0.5; }
+double Geometry::scene_radius() const {
+    const bool empty = !(bounds_min.x <= bounds_max.x);
+    return empty ? 0 : length(widen(bounds_max) - widen(bounds_min)) * 0.5;
+}
 
 Geometry build_geometry(const Scene& scene, Vec3<double> origin) { return GeometryBuilder(scene, origin).build(); }
 

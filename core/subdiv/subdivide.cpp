@@ -1,6 +1,7 @@
 // Subdivision through OpenSubdiv's Far layer; the only file that includes OpenSubdiv.
 #include "subdiv/subdivide.h"
 
+#include <opensubdiv/far/error.h>
 #include <opensubdiv/far/primvarRefiner.h>
 #include <opensubdiv/far/topologyDescriptor.h>
 
@@ -209,6 +210,9 @@ std::unique_ptr<Far::TopologyRefiner> refine(const SubdivCage& cage, int level) 
     topology.numFVarChannels = static_cast<int>(channels.size());
     topology.fvarChannels = channels.data();
 
+    // Its messages would go to stdout; what it cannot use it leaves out, or returns nothing.
+    Far::SetErrorCallback([](Far::ErrorType, const char*) {});
+    Far::SetWarningCallback([](const char*) {});
     using Factory = Far::TopologyRefinerFactory<Far::TopologyDescriptor>;
     const auto scheme = cage.scheme == SubdivScheme::loop ? Sdc::SCHEME_LOOP : Sdc::SCHEME_CATMARK;
     std::unique_ptr<Far::TopologyRefiner> refiner(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 its documentation's name
 
 PARTS = Path(__file__).parent / "stages" / "parts"
 SEGMENTS, RINGS = 48, 24
@@ -67,7 +67,8 @@ def dome_image() -> npt.NDArray[np.float32]:
     spot = np.array([0.6, 0.5, 0.62]) / np.linalg.norm([0.6, 0.5, 0.62])
     cosine = x * spot[0] + y * spot[1] + z * spot[2]
     sun = np.exp((cosine - 1.0) / (1.0 - math.cos(math.radians(4.0))))[..., None] * np.array([60.0, 50.0, 35.0])
-    return (sky + bands + sun).astype(np.float32)
+    image: npt.NDArray[np.float32] = (sky + bands + sun).astype(np.float32)
+    return image
 
 
 def main() -> None:

@@ -4,16 +4,17 @@ Run: PYTHON tests/images/make_references.py [STAGE ...] [--replicates 32] [--spp
 with a Python that has mitsuba, numpy, usd-core and OpenImageIO (Mitsuba 3.9.1's LLVM back-end
 needs LLVM 19, Debian's libllvm19: with 15 and 16 its kernels do not compile; DRJIT_LIBLLVM_PATH names the library).
 
-Each stage is read here with pxr, by code that shares nothing with Footlight's translator. A reference holds the mean (R G B) and the
-standard error of the mean (se.R se.G se.B) per pixel, from independent replicates, and in its metadata their number, spp and seeds.
+Each stage is read here with pxr, by code that shares nothing with Footlight's translator. A reference holds the mean
+(R G B) and the standard error of the mean (se.R se.G se.B) per pixel, from independent replicates, and in its metadata
+their number, spp and seeds.
 
 What the two renderers must agree on, and how it is held:
 - box filter one pixel wide; max_depth counts path edges in both;
-- UsdPreviewSurface with ior 1 and metallic 0 is Lambert; metals are Schlick GGX with alpha = roughness^2 <= 0.03, where Footlight's
-  energy compensation and its height-correlated shadowing both differ from Mitsuba's `principled` by less than 0.1 %;
+- UsdPreviewSurface with ior 1 and metallic 0 is Lambert; metals are Schlick GGX with alpha = roughness^2 <= 0.03, where
+  energy compensation and height-correlated shadowing both differ from Mitsuba's `principled` by less than 0.1 %;
 - faces are flat, so there are no shading normals to disagree about;
 - lights are opaque black bodies; a distant light is a disk 1e5 stage units away;
-- a dome texture is resampled with the bilinear, pixel-centred lookup onto the grid Mitsuba assumes (its rows lie on the poles).
+- a dome texture is resampled with the bilinear, pixel-centred lookup onto Mitsuba's grid, whose rows lie on the poles.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 its documentation's name
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade
 
 HERE = Path(__file__).parent
@@ -56,20 +57,30 @@ def world(prim: Usd.Prim) -> Array:
 
 def column(matrix: Array) -> list[list[float]]:
     """The same transform for column vectors, as Mitsuba takes it."""
-    return matrix.T.tolist()
+    columns: list[list[float]] = matrix.T.tolist()
+    return columns
 
 
 def bsdf(prim: Usd.Prim) -> dict[str, Any]:
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
     shader = material.ComputeSurfaceSource()[0]
     value = {i.GetBaseName(): i.Get() for i in shader.GetInputs()}
-    if value["metallic"] if "metallic" in value else 0:
+    if value.get("metallic", 0):
         if value["roughness"] ** 2 > 0.03:
-            raise ValueError(f"{prim.GetPath()}: roughness {value['roughness']} is outside what the two renderers share")
-        lobe = {"type": "principled", "base_color": rgb(value["diffuseColor"]), "metallic": 1.0,
-                "roughness": value["roughness"], "specular": 0.5}
+            raise ValueError(
+                f"{prim.GetPath()}: roughness {value['roughness']} is outside what the two renderers share"
+            )
+        lobe = {
+            "type": "principled",
+            "base_color": rgb(value["diffuseColor"]),
+            "metallic": 1.0,
+            "roughness": value["roughness"],
+            "specular": 0.5,
+        }
     elif value.get("ior", 1.5) != 1:
-        raise ValueError(f"{prim.GetPath()}: a dielectric layer is outside what the two renderers share; author ior = 1")
+        raise ValueError(
+            f"{prim.GetPath()}: a dielectric layer is outside what the two renderers share; author ior = 1"
+        )
     else:
         lobe = {"type": "diffuse", "reflectance": rgb(value["diffuseColor"])}
     return {"type": "twosided", "bsdf": lobe}
@@ -129,7 +140,7 @@ def uniform_scale(matrix: Array, prim: Usd.Prim) -> float:
 
 def dome_bitmap(path: str) -> Array:
     """(H, W, 3) on Mitsuba's grid: columns at pixel centres, rows from pole to pole; 8 times the source's size."""
-    source = oiio.ImageBuf(path).get_pixels(oiio.FLOAT)[..., :3].astype(np.float64)
+    source: Array = np.asarray(oiio.ImageBuf(path).get_pixels(oiio.FLOAT), np.float64)[..., :3]
     height, width = source.shape[:2]
     rows, columns = np.arange(8 * height) / (8 * height - 1), (np.arange(8 * width) + 0.5) / (8 * width)
     y, x = np.clip(rows * height - 0.5, 0, height - 1), columns * width - 0.5
@@ -137,7 +148,8 @@ def dome_bitmap(path: str) -> Array:
     fy, fx = (y - y0)[:, None, None], (x - x0)[None, :, None]
     low = source[y0][:, x0 % width] * (1 - fx) + source[y0][:, (x0 + 1) % width] * fx
     high = source[y0 + 1][:, x0 % width] * (1 - fx) + source[y0 + 1][:, (x0 + 1) % width] * fx
-    return low * (1 - fy) + high * fy
+    result: Array = low * (1 - fy) + high * fy
+    return result
 
 
 def emitter(mi: Any, prim: Usd.Prim) -> dict[str, Any]:
@@ -232,7 +244,9 @@ def check_metal(mi: Any) -> None:
     """Mitsuba's `principled` metal is Schlick's F times GGX with Smith's G to 0.2 %, away from grazing."""
     base, roughness = np.array([0.95, 0.75, 0.35]), 0.17
     alpha = roughness**2
-    lobe = mi.load_dict({"type": "principled", "base_color": rgb(base), "metallic": 1.0, "roughness": roughness, "specular": 0.5})
+    lobe = mi.load_dict(
+        {"type": "principled", "base_color": rgb(base), "metallic": 1.0, "roughness": roughness, "specular": 0.5}
+    )
     for angle in (0.0, 0.5, 1.0, 1.3):
         for tilt in (0.0, 0.02, 0.05):
             wo = np.array([math.sin(angle), 0, math.cos(angle)])
@@ -263,7 +277,12 @@ def build(mi: Any, stage: Usd.Stage, size: tuple[int, int], folder: Path) -> Any
         values["faces"] = part.triangles.astype(np.uint32).ravel()
         values.update()
         shape.write_ply(str(folder / f"{part.name}.ply"))
-        scene[part.name] = {"type": "ply", "filename": str(folder / f"{part.name}.ply"), "face_normals": True, "bsdf": part.bsdf}
+        scene[part.name] = {
+            "type": "ply",
+            "filename": str(folder / f"{part.name}.ply"),
+            "face_normals": True,
+            "bsdf": part.bsdf,
+        }
     for prim in stage.Traverse():
         if prim.HasAPI(UsdLux.LightAPI):
             scene[prim.GetPath().pathString.replace("/", "_")] = emitter(mi, prim)
@@ -289,7 +308,9 @@ def render(mi: Any, stage_path: Path, replicates: int, spp: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = build(mi, stage, size, Path(folder))
         check_camera(mi, scene, stage)
-        images = np.stack([np.array(mi.render(scene, spp=spp, seed=1 + k), np.float64)[..., :3] for k in range(replicates)])
+        images = np.stack(
+            [np.array(mi.render(scene, spp=spp, seed=1 + k), np.float64)[..., :3] for k in range(replicates)]
+        )
     mean, standard_error = images.mean(0), images.std(0, ddof=1) / math.sqrt(replicates)
     metadata = {
         "footlight:renderer": f"Mitsuba {mi.__version__} {mi.variant()}", "footlight:integrator": "path",
@@ -298,7 +319,8 @@ def render(mi: Any, stage_path: Path, replicates: int, spp: int) -> None:
     }  # fmt: skip
     write(HERE / "references" / f"{stage_path.stem}.exr", mean, standard_error, metadata)
     error = np.sqrt((standard_error**2).mean()) / mean.mean()
-    print(f"{stage_path.stem}: {size[0]}x{size[1]}, {spp * replicates} spp, mean {mean.mean((0, 1)).round(5)}, rms error {error:.2%}", flush=True)
+    means = mean.mean((0, 1)).round(5)
+    print(f"{stage_path.stem}: {size}, {spp * replicates} spp, mean {means}, rms error {error:.2%}", flush=True)
 
 
 def main() -> None:
@@ -308,7 +330,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=512, help="samples per pixel of one replicate")
     arguments = parser.parse_args()
 
-    import mitsuba as mi
+    import mitsuba as mi  # type: ignore[import-not-found]
 
     mi.set_variant("scalar_rgb")
     check_metal(mi)

@@ -1,10 +1,8 @@
-"""Decides whether two noisy images have the same mean: global z and 8x8-tile z, at a false-alarm rate that is fixed in advance.
+"""Decides whether two noisy images have the same mean: global z and 8x8-tile z, at a chosen false-alarm rate.
 
-A per-pixel rule has no power against a uniform bias, and a global rule none against a local one (notes on power: a 0.3 % global bias is
-found by the first statistic, 10 % in one tile by the second). Both are Welch tests on the standard error of the mean, from replicates.
+A per-pixel rule has no power against a uniform bias, and a global rule none against a local one: the first statistic
+finds 0.3 % everywhere, the second 10 % in one tile. Both are Welch tests on standard errors from replicates.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -12,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 its documentation's name
 from scipy import stats
 
 TILE = 8  # [pixels], the side of a tile
 ALPHA = 1e-5  # false alarms per comparison of two images: over a hundred comparisons, one in a thousand runs
-ROUNDING = 2.0**-20  # relative difference that single precision explains where neither image has noise
+ROUNDING = 2.0**-20  # of the brightest mean: what single precision explains where neither image has noise
 Array = npt.NDArray[np.float64]
 
 
@@ -53,7 +51,8 @@ class Verdict:
 def tile_means(images: Array) -> Array:
     """Means of TILE x TILE tiles: (..., H, W, C) to (..., H/TILE, W/TILE, C); H and W are multiples of TILE."""
     *front, height, width, channels = images.shape
-    return images.reshape(*front, height // TILE, TILE, width // TILE, TILE, channels).mean((-4, -2))
+    means: Array = images.reshape(*front, height // TILE, TILE, width // TILE, TILE, channels).mean((-4, -2))
+    return means
 
 
 def of_replicates(replicates: Array) -> Image:
@@ -93,34 +92,42 @@ def read_reference(path: Path) -> Image:
     replicates = spec.getattribute("footlight:replicates")
     recorded = [spec.getattribute(f"footlight:{key}") is not None for key in ("renderer", "spp", "seed", "max_depth")]
     if sorted(names) != sorted(wanted) or not replicates or not all(recorded):
-        raise ValueError(f"{path}: a reference holds {wanted} and its renderer, spp, seed and replicates; it has {names}")
-    planes = buffer.get_pixels(oiio.FLOAT).astype(np.float64)[..., [names.index(name) for name in wanted]]
+        raise ValueError(
+            f"{path}: a reference holds {wanted} and its renderer, spp, seed and replicates; it has {names}"
+        )
+    planes = np.asarray(buffer.get_pixels(oiio.FLOAT), np.float64)[..., [names.index(name) for name in wanted]]
     return of_standard_error(planes[..., :3], planes[..., 3:], int(replicates))
 
 
-def probabilities(a: Measured, b: Measured) -> tuple[Array, Array]:
+def probabilities(a: Measured, b: Measured, rounding: float) -> tuple[Array, Array]:
     """Welch's statistic and its two-sided probability, element by element."""
-    rounding = (ROUNDING * np.maximum(np.abs(a.mean), np.abs(b.mean))) ** 2
-    variance = a.variance + b.variance + rounding
+    # Relative to the brightest: tails of a lobe that one renderer samples and the other never meets are no difference.
+    floor = (rounding * max(float(np.abs(a.mean).max()), float(np.abs(b.mean).max()))) ** 2
+    variance = a.variance + b.variance + floor
     tiny = np.finfo(np.float64).tiny
     freedom = variance**2 / np.maximum(a.variance**2 / a.freedom + b.variance**2 / b.freedom, tiny)
     z = (a.mean - b.mean) / np.sqrt(np.maximum(variance, tiny))
     return z, 2 * stats.t.sf(np.abs(z), np.clip(freedom, 1.0, 1e6))
 
 
-def compare(a: Image, b: Image, alpha: float = ALPHA) -> Verdict:
-    """Tests equality of the means, globally and per tile and per channel, with Sidak's correction over all of them."""
+def compare(a: Image, b: Image, alpha: float = ALPHA, rounding: float = ROUNDING) -> Verdict:
+    """Tests equality of the means, globally and per tile and per channel, with Sidak's correction over all of them.
+
+    `rounding` is a standard deviation on top of the noise, relative to the brightest mean.
+    """
     if a.pixels.shape != b.pixels.shape:
         raise ValueError(f"images of {a.pixels.shape} and {b.pixels.shape} cannot be compared")
     if not (np.isfinite(a.pixels).all() and np.isfinite(b.pixels).all()):
         raise ValueError("an image with NaN or Inf has no mean")
-    global_z, global_p = probabilities(a.whole, b.whole)
-    tile_z, tile_p = probabilities(a.tiles, b.tiles)
+    global_z, global_p = probabilities(a.whole, b.whole, rounding)
+    tile_z, tile_p = probabilities(a.tiles, b.tiles, rounding)
     # Half of the false alarms for the three global statistics, half for the many tiles: neither hides the other.
     worst_global, worst_tile = int(global_p.argmin()), np.unravel_index(int(tile_p.argmin()), tile_p.shape)
     thresholds = [-math.expm1(math.log1p(-alpha / 2) / n) for n in (global_p.size, tile_p.size)]
     if global_p.min() / thresholds[0] <= tile_p.min() / thresholds[1]:
-        relative = a.whole.mean[worst_global] / b.whole.mean[worst_global] - 1 if b.whole.mean[worst_global] else math.inf
+        relative = (
+            a.whole.mean[worst_global] / b.whole.mean[worst_global] - 1 if b.whole.mean[worst_global] else math.inf
+        )
         where = f"global mean of channel {worst_global}: z {global_z[worst_global]:+.2f}, {relative:+.3%}"
         probability, threshold = float(global_p.min()), thresholds[0]
     else:
@@ -144,7 +151,7 @@ def scaled(image: Image, factor: float) -> Image:
 
 
 def write_failure(folder: Path, image: Image, reference: Image) -> None:
-    """image, reference and difference as EXR and as PNG; in the PNG of the difference red is too bright, blue too dark."""
+    """Image, reference and difference as EXR and PNG; in the difference's PNG red is too bright, blue too dark."""
     folder.mkdir(parents=True, exist_ok=True)
     difference = image.pixels - reference.pixels
     white = max(float(np.percentile(reference.pixels, 98)), 1e-12)

@@ -1,18 +1,17 @@
-"""A small kit for laws about images: scenes as plain data, their transformations, and how to render them through the core.
+"""A small kit for laws about images: scenes as plain data, their transformations, and their renders by the core.
 
 Transforms are float64 (4, 4) for row vectors, p' = p @ M, as in USD. Lengths are in stage units.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import footlight_core
 import numpy as np
 import numpy.typing as npt
+
+import footlight_core
 
 Array = npt.NDArray[np.float64]
 Points = npt.NDArray[np.float32]
@@ -178,7 +177,38 @@ def sphere(
     )
 
 
-def at(*matrices: Array) -> dict[str, Array]:
+def icosphere(material: Material, level: int = 2, *, inwards: bool = False, **more: Any) -> Mesh:
+    """A unit sphere of 20 * 4^level flat triangles, no two of them in one plane: convex whatever the rounding."""
+    g = (1 + math.sqrt(5)) / 2
+    points = [np.array(p) / math.hypot(1, g) for p in (
+        (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g),
+        (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1),
+    )]  # fmt: skip
+    faces = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
+        (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
+        (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
+    for _ in range(level):
+        middle: dict[tuple[int, int], int] = {}
+
+        def between(a: int, b: int, known: dict[tuple[int, int], int]) -> int:
+            key = (min(a, b), max(a, b))
+            if key not in known:
+                known[key] = len(points)
+                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
+            return known[key]
+
+        finer = []
+        for a, b, c in faces:
+            ab, bc, ca = between(a, b, middle), between(b, c, middle), between(c, a, middle)
+            finer += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        faces = finer
+    triangles = np.array(faces, np.uint32)
+    return Mesh(on_grid(points), triangles[:, ::-1].copy() if inwards else triangles, material, **more)
+
+
+def at(*matrices: Array) -> dict[str, Any]:
     """The keyword that places a mesh once, by a product of transforms."""
     return {"transforms": chain(*matrices)[None]}
 
@@ -463,7 +493,10 @@ def room() -> Stage:
         Camera(look_at((0.0, 0.125, 0.9375), (0.0, 0.0, -1.0)), focal_length=24.0),
         (
             box(wall, inwards=True),
-            box(Material((0.6, 0.1, 0.1)), **at(scale(0.25, 0.5, 0.25), rotate("y", 20), translate(-0.375, -0.5, -0.375))),
+            box(
+                Material((0.6, 0.1, 0.1)),
+                **at(scale(0.25, 0.5, 0.25), rotate("y", 20), translate(-0.375, -0.5, -0.375)),
+            ),
             box(Material((0.1, 0.3, 0.6)), **at(scale(0.25), translate(0.375, -0.75, 0.125))),
         ),
         (rect(chain(rotate("x", -90), translate(0.0, 0.96875, 0.0)), 0.5, 0.375, (9.0, 8.0, 6.0)),),
@@ -510,7 +543,9 @@ def sky() -> Stage:
         Camera(look_at((0.0, 1.5, 4.5), (0.0, 0.5, 0.0)), focal_length=36.0),
         (
             sphere(Material((0.7, 0.5, 0.3)), smooth=True, **at(scale(0.75), translate(-0.875, 0.75, 0.0))),
-            sphere(Material((0.9, 0.9, 0.9), metallic=1.0, roughness=0.25), **at(scale(0.75), translate(0.875, 0.75, 0.0))),
+            sphere(
+                Material((0.9, 0.9, 0.9), metallic=1.0, roughness=0.25), **at(scale(0.75), translate(0.875, 0.75, 0.0))
+            ),
             quad((-4, 0, 4), (8, 0, 0), (0, 0, -8), Material((0.4, 0.45, 0.4))),
         ),
         (
@@ -524,7 +559,8 @@ def sky() -> Stage:
 def orchard() -> Stage:
     """Instances at several scales and one mirrored, half-transparent cards, vertex colours, a cylinder light."""
     placed = [
-        chain(scale(2.0**-k), rotate("y", 40 * k), translate(-1.5 + 0.75 * k, 2.0**-k, 0.5 - 0.25 * k)) for k in range(5)
+        chain(scale(2.0**-k), rotate("y", 40 * k), translate(-1.5 + 0.75 * k, 2.0**-k, 0.5 - 0.25 * k))
+        for k in range(5)
     ]
     placed.append(chain(scale(-0.5, 0.25, 0.5), rotate("z", 30), translate(0.5, 0.5, 1.0)))
     tree = sphere(Material((0.5, 0.5, 0.5), diffuse_from_primvar=True), 16, 8)
@@ -537,7 +573,10 @@ def orchard() -> Stage:
             replace(card, transforms=np.stack([translate(1.0, 0.0, 1.5), translate(1.25, 0.0, 1.0)])),
             quad((-4, 0, 4), (8, 0, 0), (0, 0, -8), Material((0.4, 0.4, 0.4))),
         ),
-        (tube(chain(rotate("y", 20), translate(0.0, 2.5, 0.5)), 0.0625, 2.0, (6.0, 5.0, 4.0)), dome((0.05, 0.06, 0.08))),
+        (
+            tube(chain(rotate("y", 20), translate(0.0, 2.5, 0.5)), 0.0625, 2.0, (6.0, 5.0, 4.0)),
+            dome((0.05, 0.06, 0.08)),
+        ),
     )
 
 
@@ -548,7 +587,10 @@ def lens() -> Stage:
         Camera(look_at((0.0, 1.5, 4.5), (0.0, 0.5, 0.0)), 36.0, f_stop=8.0, focus_distance=4.5),
         (
             sphere(Material((0.6, 0.5, 0.4)), smooth=True, **at(scale(0.5), translate(-0.75, 0.5, 1.0))),
-            sphere(Material((0.3, 0.3, 0.3), emissive_color=(2.0, 1.0, 0.5)), **at(scale(0.375), translate(0.75, 0.5, -0.5))),
+            sphere(
+                Material((0.3, 0.3, 0.3), emissive_color=(2.0, 1.0, 0.5)),
+                **at(scale(0.375), translate(0.75, 0.5, -0.5)),
+            ),
             quad((-4, 0, 4), (8, 0, 0), (0, 0, -8), Material((0.4, 0.4, 0.4))),
         ),
         (

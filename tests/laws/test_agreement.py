@@ -1,7 +1,5 @@
 """Laws that hold within noise: strategies, mirrored stages, sums of lights, instances against copies."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
@@ -75,7 +73,7 @@ def test_g17_lights_under_negative_scales(signs: tuple[int, int, int], kind: str
                 scenes.box(Material(), **scenes.at(scenes.scale(0.5), scenes.translate(0.0, 0.5, 0.0))),
                 scenes.quad((-4, 0, 4), (8, 0, 0), (0, 0, -8), Material()),
             ),
-            (make(scenes.chain(before, place), emission=(5.0, 4.0, 3.0)),),
+            (make(scenes.chain(before, place), emission=(5.0, 4.0, 3.0), visible_to_camera=False),),
         )
 
     # Reversing local Z turns the light round: the same as rotating it by 180 degrees about X.
@@ -89,15 +87,17 @@ def test_g17_lights_under_negative_scales(signs: tuple[int, int, int], kind: str
 @every_scene
 def test_mt6_light_adds_up(make: Callable[[], Stage]) -> None:
     """MT6: the image under all lights is the sum of the images under each."""
-    stage = replace(make(), meshes=tuple(replace(m, material=replace(m.material, emissive_color=(0.0, 0.0, 0.0))) for m in make().meshes))
+    stage = replace(
+        make(),
+        meshes=tuple(replace(m, material=replace(m.material, emissive_color=(0.0, 0.0, 0.0))) for m in make().meshes),
+    )
     if len(stage.lights) == 1:
         extra = scenes.bulb(scenes.translate(0.25, 0.25, -0.25), 0.125, (1.0, 2.0, 4.0))
         stage = replace(stage, lights=(*stage.lights, extra))
     together = scenes.replicates(stage, COUNT, seed=1, spp=64, **SIZE)
     # Bodies stay where they are: a light that is left out is replaced by a black one that still blocks.
     alone = [
-        scenes.replicates(only(stage, k), COUNT, seed=100 * (k + 1), spp=64, **SIZE)
-        for k in range(len(stage.lights))
+        scenes.replicates(only(stage, k), COUNT, seed=100 * (k + 1), spp=64, **SIZE) for k in range(len(stage.lights))
     ]
     total = np.sum(alone, axis=0)
     assert_same_mean(together, total, "sum")
@@ -118,7 +118,9 @@ def test_mt8_instances_are_copies() -> None:
     plain, copies = scenes.orchard(), scenes.flattened(scenes.orchard())
     assert len(copies.meshes) > len(plain.meshes) + 4
     aovs = ["color", "alpha", "depth", "normal"]
-    a, b = (scenes.run(s, spp=16, aovs=aovs, **SIZE) for s in (plain, copies))
+    # Without the half-transparent cards, where chance decides what a ray hits.
+    solid = replace(plain, meshes=(plain.meshes[0], plain.meshes[2]))
+    a, b = (scenes.run(s, spp=16, aovs=aovs, **SIZE) for s in (solid, scenes.flattened(solid)))
     # The same camera rays: what they hit may differ by rounding at silhouettes only.
     assert (np.abs(a.read("alpha") - b.read("alpha")) > 1e-3).mean() < 0.01
     one, other = a.read("depth"), b.read("depth")
@@ -164,7 +166,7 @@ def test_l19_delta_and_density_never_mix(light: str, surface: str) -> None:
         (scenes.quad((-2, 0, 2), (4, 0, 0), (0, 0, -4), SURFACES[surface]),),
         (LIGHTS[light],),
     )
-    # Light samples all but never meet a lobe a few thousandths of a radian wide; a BSDF sample never meets a delta light.
+    # Light samples all but never meet a lobe a ten-thousandth of a radian wide; BSDF samples never meet a delta light.
     strategies = ["mis"]
     strategies += ["bsdf"] if light != "delta" else []
     strategies += ["light"] if surface != "almost_mirror" else []

@@ -3,10 +3,10 @@
 Each exact comparison stands beside one that must fail, so that the comparison itself is shown to see.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from tests.laws import scenes
 from tests.laws.scenes import SUITE, Points, Stage
 
 AOVS = ["color", "alpha", "depth", "normal", "albedo", "position", "error", "sample_count"]
-SMALL = {"width": 32, "height": 24}
+SMALL: dict[str, Any] = {"width": 32, "height": 24}
 every_scene = pytest.mark.parametrize("make", SUITE.values(), ids=SUITE.keys())
 
 
@@ -91,7 +91,7 @@ def test_mt4_control_an_offset_is_seen() -> None:
 @every_scene
 def test_mt9_threads_tiles_and_their_order(make: Callable[[], Stage]) -> None:
     """MT9: 130x70 pixels are six tiles, three of them narrow."""
-    options = {"width": 130, "height": 70, "aovs": AOVS}
+    options: dict[str, Any] = {"width": 130, "height": 70, "aovs": AOVS}
 
     def rendered(threads: int, ranges: list[tuple[int, int]]) -> dict[str, Points]:
         renderer = scenes.renderer(make(), threads=threads, **options)
@@ -149,7 +149,7 @@ def test_mt10_control_a_missing_sample_moves_bits() -> None:
 
 def test_mt10_five_chunks_in_any_order() -> None:
     bounds = [0, 1, 5, 6, 11, 16]
-    chunks = list(zip(bounds, bounds[1:], strict=False))
+    chunks = list(pairwise(bounds))
     whole = scenes.image(scenes.gallery(), spp=16, **SMALL)
     for order in ([4, 2, 0, 1, 3], [3, 4, 1, 0, 2]):
         renderer = scenes.renderer(scenes.gallery(), **SMALL)
@@ -202,9 +202,7 @@ def test_mt12_unused_things_change_nothing(make: Callable[[], Stage]) -> None:
         scenes.bulb(scenes.translate(0.0, 1.0, 0.0), 0.0, (1.0, 1.0, 1.0)),
     )
     plain = scenes.run(stage, **SMALL, aovs=["color"])
-    burdened = scenes.run(
-        replace(stage, unused=(unused,), lights=(*stage.lights, *black)), **SMALL, aovs=AOVS
-    )
+    burdened = scenes.run(replace(stage, unused=(unused,), lights=(*stage.lights, *black)), **SMALL, aovs=AOVS)
     assert_same_bits(plain.read("color"), burdened.read("color"), "color")
 
 

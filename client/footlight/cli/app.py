@@ -172,7 +172,7 @@ def serve(
     *,
     listen: Annotated[
         str, typer.Option(metavar="ADDR", help="Where to listen: a loopback HOST:PORT or unix:PATH.")
-    ] = "127.0.0.1:50551",
+    ] = "127.0.0.1:50051",
     workers: Annotated[int, typer.Option(min=1, metavar="N", help="Renders that run at the same time.")] = 1,
     root: Annotated[
         Optional[list[Path]],  # noqa: UP045 typer reads it at run time

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Exit(IntEnum):
-    """What the process returns; the docstring of each is its help."""
+    """What the process returns; HELP says what each means."""
 
     OK = 0
     FAILED = 1
@@ -54,6 +54,8 @@ def exit_code(error: Exception) -> Exit:
     """The code for an exception of Footlight or of the file system."""
     if isinstance(error, OSError):
         return Exit.OUTPUT
+    if [field for field, _ in getattr(error, "fields", ())] == ["spec.stage_path"]:
+        return Exit.STAGE
     reason = getattr(error, "reason", None)
     if reason is not None:
         return BY_REASON.get(reason, Exit.FAILED)

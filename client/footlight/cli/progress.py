@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from typing import Protocol
 
-from footlight.cli.report import note, percent, remarks
+from footlight.cli.report import duration, note, percent, remarks
 from footlight.v1 import render_pb2
 
 # [s] Between plain lines.
@@ -88,5 +88,5 @@ def describe(progress: render_pb2.Progress) -> str:
     if progress.HasField("error_mean"):
         parts.append(f"error {percent(progress.error_mean)}")
     if progress.HasField("seconds_remaining"):
-        parts.append(f"{progress.seconds_remaining:.0f} s left")
+        parts.append(f"{duration(progress.seconds_remaining)} left")
     return ", ".join(parts)

@@ -63,8 +63,8 @@ class Outputs:
         if self.png is not None:
             session.save(self.png, "png")
         if self.stats is not None:
-            with replacing(self.stats) as file:
-                file.write(json.dumps(plain(render.stats), indent=2).encode() + b"\n")
+            with replacing(self.stats) as temporary:
+                temporary.write_text(json.dumps(plain(render.stats), indent=2) + "\n")
 
 
 def run_render(outputs: Outputs, server: str, *, keep_partial: bool, **options: Any) -> None:

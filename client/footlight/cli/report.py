@@ -7,8 +7,19 @@ from collections.abc import Iterator, Sequence
 import typer
 
 from footlight.cli.exits import Exit, exit_code
-from footlight.errors import FootlightError, RenderFailedError
+from footlight.errors import FootlightError, InvalidRequestError, RenderFailedError
 from footlight.v1 import render_pb2, report_pb2
+
+# Where the command line's word is not that of the message.
+OPTIONS = {
+    "stage_path": "STAGE",
+    "camera_path": "--camera",
+    "time_code": "--frame",
+    "width": "--size",
+    "height": "--size",
+    "aovs": "--aov",
+    "png.view": "--view",
+}
 
 # [lines] Of each kind of remark; `footlight explain` has them all.
 FIRST = 5
@@ -26,7 +37,8 @@ def usage() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
+        field, _, why = str(error).partition(": ")
+        raise typer.BadParameter(why, param_hint=option_of(field)) from error
 
 
 @contextlib.contextmanager
@@ -47,9 +59,17 @@ def reporting() -> Iterator[None]:
 
 def _text(error: FootlightError) -> str:
     text = str(error)
+    if isinstance(error, InvalidRequestError) and error.fields:
+        return "; ".join(f"{option_of(field)}: {why}" for field, why in error.fields)
     if isinstance(error, RenderFailedError) and error.prim_path and error.prim_path not in text:
         return f"{error.prim_path}: {text}"
     return text
+
+
+def option_of(field: str) -> str:
+    """The option or argument that sets a field of RenderSpec."""
+    name = field.removeprefix("spec.").partition("[")[0]
+    return OPTIONS.get(name, f"--{name.replace('_', '-')}")
 
 
 def remarks(report: report_pb2.StageReport) -> list[str]:
@@ -70,12 +90,23 @@ def summary(output: str, render: render_pb2.Render) -> str:
     """What was written, how wrong it still is, and what half of that would cost."""
     stats = render.stats
     partial = "partial image, " if render.state == render_pb2.RENDER_STATE_CANCELLED else ""
-    text = f"{output}: {partial}{render.spec.width}x{render.spec.height}, {stats.spp} spp, {stats.seconds.total:.1f} s"
+    text = (
+        f"{output}: {partial}{render.spec.width}x{render.spec.height}, {stats.spp} spp, {duration(stats.seconds.total)}"
+    )
     if stats.HasField("error_mean"):
         # Monte Carlo: half the error takes four times the samples, three times as many again.
-        text += f"; error {percent(stats.error_mean)}, half of that for {3 * stats.seconds.render:.1f} s more"
+        text += f"; error {percent(stats.error_mean)}, half of that for {duration(3 * stats.seconds.render)} more"
     fired = sum(stats.guards.values())
     return text + (f"; {fired} samples met a guard, see --stats" if fired else "")
+
+
+def duration(seconds: float) -> str:
+    """1.2 s, 34 s, 5:06, 1:02:03."""
+    if seconds < 99.5:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def percent(ratio: float) -> str:

@@ -1,8 +1,9 @@
 """The one table from exceptions to status codes, and how they are told to a client."""
 
+import functools
 import logging
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
+from typing import Any
 
 import grpc
 from google.protobuf.any_pb2 import Any as AnyMessage
@@ -14,6 +15,8 @@ from footlight_server.sessions import errors
 log = logging.getLogger(__name__)
 
 DOMAIN = "footlight"
+
+Handler = Callable[[Any, Any, Any], Awaitable[Any]]
 
 # The proto's comment on RenderService is the manual of this.
 TABLE: dict[type[Exception], tuple[grpc.StatusCode, str]] = {
@@ -32,19 +35,22 @@ TABLE: dict[type[Exception], tuple[grpc.StatusCode, str]] = {
 }
 
 
-@asynccontextmanager
-async def told(context: grpc.aio.ServicerContext) -> AsyncIterator[None]:
-    """Within, exceptions end the call with their status; those that nobody expects are logged and INTERNAL."""
-    try:
-        yield
-    except errors.ServiceError as error:
-        code, reason = TABLE[type(error)]
-        await context.abort_with_status(_status(code, reason, error))
-    except (grpc.aio.AbortError, grpc.aio.UsageError):
-        raise
-    except Exception as error:
-        log.exception("a call failed")
-        await context.abort_with_status(_status(grpc.StatusCode.INTERNAL, "INTERNAL", error))
+def told(handler: Handler) -> Handler:
+    """A handler whose exceptions end the call with their status; those that nobody expects are logged and INTERNAL."""
+
+    @functools.wraps(handler)
+    async def telling(service: Any, request: Any, context: grpc.aio.ServicerContext) -> Any:
+        try:
+            return await handler(service, request, context)
+        except errors.ServiceError as error:
+            code, reason = TABLE[type(error)]
+            status = _status(code, reason, error)
+        except Exception as error:
+            log.exception("a call failed")
+            status = _status(grpc.StatusCode.INTERNAL, "INTERNAL", error)
+        return await context.abort_with_status(status)
+
+    return telling
 
 
 def _status(code: grpc.StatusCode, reason: str, error: Exception) -> grpc.Status:

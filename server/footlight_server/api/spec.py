@@ -15,7 +15,7 @@ from footlight_server.sessions.errors import (
 )
 
 _DEFAULTS = {"spp": 64, "max_depth": 8}
-# [low, high] As the proto's comments say; 0 was replaced by the default or means "not given" before these are looked at.
+# [low, high] As the proto's comments say. 0 means "not given".
 _RANGES = {
     "width": (1, 32768),
     "height": (1, 32768),
@@ -25,11 +25,6 @@ _RANGES = {
 }
 _MOST_PIXELS = 1 << 28
 _WIDEST_FILTER = 16.0
-_FILTER_WIDTHS = {
-    render_pb2.PIXEL_FILTER_BOX: 1.0,
-    render_pb2.PIXEL_FILTER_GAUSSIAN: 3.0,
-    render_pb2.PIXEL_FILTER_BLACKMAN_HARRIS: 3.0,
-}
 
 
 def complete_spec(asked: render_pb2.RenderSpec) -> render_pb2.RenderSpec:
@@ -40,7 +35,6 @@ def complete_spec(asked: render_pb2.RenderSpec) -> render_pb2.RenderSpec:
         setattr(spec, name, getattr(spec, name) or value)
     spec.strategy = spec.strategy or render_pb2.STRATEGY_MIS
     spec.pixel_filter = spec.pixel_filter or render_pb2.PIXEL_FILTER_BLACKMAN_HARRIS
-    spec.filter_width = spec.filter_width or _FILTER_WIDTHS.get(spec.pixel_filter, 1.0)
     violations = [*_text_violations(spec), *_range_violations(spec), *_number_violations(spec)]
     if violations:
         raise InvalidFieldsError(violations)
@@ -94,12 +88,12 @@ def _range_violations(spec: render_pb2.RenderSpec) -> list[FieldViolation]:
 
 def _number_violations(spec: render_pb2.RenderSpec) -> list[FieldViolation]:
     violations = []
-    if spec.pixel_filter not in _FILTER_WIDTHS:
+    if spec.pixel_filter not in render_pb2.PixelFilter.values():
         violations.append(_violation("pixel_filter", f"{spec.pixel_filter}: not a PixelFilter of this server"))
     if spec.strategy not in render_pb2.Strategy.values():
         violations.append(_violation("strategy", f"{spec.strategy}: not a Strategy of this server"))
-    if not 0 < spec.filter_width <= _WIDEST_FILTER:
-        violations.append(_violation("filter_width", f"{spec.filter_width:g}: allowed is over 0 to {_WIDEST_FILTER:g}"))
+    if not 0 <= spec.filter_width <= _WIDEST_FILTER:
+        violations.append(_violation("filter_width", f"{spec.filter_width:g}: allowed is 0 to {_WIDEST_FILTER:g}"))
     if spec.HasField("time_code") and not math.isfinite(spec.time_code):
         violations.append(_violation("time_code", f"{spec.time_code}: has to be finite"))
     for name in ("time_limit_seconds", "error_limit"):

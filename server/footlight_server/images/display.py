@@ -85,5 +85,5 @@ def _view(view: str, config_path: str) -> ocio.CPUProcessor:
         source = ocio.Config.IdentifyBuiltinColorSpace(config, built_in, RENDERING_SPACE)
         transform = ocio.DisplayViewTransform(src=source, display=display, view=view)
         return config.getProcessor(transform).getDefaultCPUProcessor()
-    except ocio.Exception as error:
+    except (ocio.Exception, ocio.ExceptionMissingFile) as error:
         raise ImageError(f"OpenColorIO config {config_path}: {error}") from error

@@ -1,10 +1,11 @@
-"""Files that are either whole or not there: written under a temporary name, synced, renamed."""
+"""What can go wrong with an image file, in words that name it."""
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from footlight import files
 
 
 class ImageError(ValueError):
@@ -13,27 +14,12 @@ class ImageError(ValueError):
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that becomes `path` when the block ends well, else vanishes.
-
-    It keeps the suffix, by which OpenImageIO chooses the format. Raises ImageError if the directory is not
-    there or the file cannot be made, synced or renamed.
-    """
+    """As footlight.files.replacing, but raises ImageError."""
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        with files.replacing(path) as temporary:
+            yield temporary
     except OSError as error:
         raise ImageError(f"{path}: cannot be written: {error.strerror}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except OSError as error:
-        raise ImageError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def why_not_written(path: Path, reason: str) -> str:

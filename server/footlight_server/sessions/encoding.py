@@ -9,7 +9,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from footlight_server.sessions.tile_queue import TileKey
+from footlight_server.sessions.tile_queue import TileKey, TileVersion
 from footlight_server.workers.film import Film
 
 # [bytes] Encoded tiles that are kept for other viewers of the same render.
@@ -28,7 +28,7 @@ class Encoding(Enum):
 
 @dataclass(frozen=True, slots=True)
 class EncodedTile:
-    """[pixels] A rectangle of an AOV and its pixels as bytes. `samples` per pixel are in them."""
+    """[pixels] A rectangle of an AOV and its pixels as bytes."""
 
     aov: str
     x: int
@@ -36,8 +36,18 @@ class EncodedTile:
     width: int
     height: int
     channels: int
-    samples: int
+    version: TileVersion
+    encoding: Encoding
     data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Tiles of one image of this size [pixels]."""
+
+    image_width: int
+    image_height: int
+    tiles: list[EncodedTile]
 
 
 def encode(pixels: NDArray[np.float32], encoding: Encoding, compressor: zstandard.ZstdCompressor) -> bytes:
@@ -47,7 +57,7 @@ def encode(pixels: NDArray[np.float32], encoding: Encoding, compressor: zstandar
         return planar.astype("<f4", copy=False).tobytes()
     half = np.clip(planar, -_HALF_MAX, _HALF_MAX).astype("<f2")
     shuffled = np.ascontiguousarray(half.reshape(-1).view(np.uint8).reshape(-1, 2).T)
-    return compressor.compress(shuffled)
+    return compressor.compress(shuffled.data)
 
 
 class TileEncoder:
@@ -56,7 +66,7 @@ class TileEncoder:
     def __init__(self, film: Film) -> None:
         self._film = film
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
-        self._cache: OrderedDict[tuple[TileKey, int, Encoding], bytes] = OrderedDict()
+        self._cache: OrderedDict[tuple[TileKey, TileVersion, Encoding], bytes] = OrderedDict()
         self._cached = 0
 
     @property
@@ -68,33 +78,31 @@ class TileEncoder:
         """The film has all of these tiles."""
         return aov in self._film.planes and all(tile < self._film.shape.tiles for tile in tiles)
 
-    def encode_batch(
-        self, tiles: Iterable[tuple[TileKey, int]], encoding: Encoding, most: int
-    ) -> list[EncodedTile]:
-        """As many of `tiles`, given with their samples, as fit into `most` bytes, in order, at least one."""
-        batch: list[EncodedTile] = []
+    def encode_batch(self, tiles: Iterable[tuple[TileKey, TileVersion]], encoding: Encoding, most: int) -> Batch:
+        """As many of `tiles` as fit into `most` bytes, in order, at least one."""
+        chosen: list[EncodedTile] = []
         size = 0
-        for key, samples in tiles:
-            encoded = self._encode(key, samples, encoding)
+        for key, version in tiles:
+            encoded = self._encode(key, version, encoding)
             size += len(encoded.data)
-            if batch and size > most:
+            if chosen and size > most:
                 break
-            batch.append(encoded)
-        return batch
+            chosen.append(encoded)
+        return Batch(self._film.shape.width, self._film.shape.height, chosen)
 
-    def _encode(self, tile: TileKey, samples: int, encoding: Encoding) -> EncodedTile:
+    def _encode(self, tile: TileKey, version: TileVersion, encoding: Encoding) -> EncodedTile:
         box = self._film.shape.box(tile.tile)
         plane = self._film.planes[tile.aov]
-        # Samples only ever grow: they name the version of a tile.
-        key = (tile, samples, encoding)
+        key = (tile, version, encoding)
         data = self._cache.get(key)
         if data is None:
-            pixels = plane[box.y : box.y + box.height, box.x : box.x + box.width]
+            rows, columns = -(-box.height // version.scale), -(-box.width // version.scale)
+            pixels = plane[box.y : box.y + rows, box.x : box.x + columns]
             data = encode(pixels, encoding, self._compressor)
             self._keep(key, data)
-        return EncodedTile(tile.aov, box.x, box.y, box.width, box.height, plane.shape[2], samples, data)
+        return EncodedTile(tile.aov, box.x, box.y, box.width, box.height, plane.shape[2], version, encoding, data)
 
-    def _keep(self, key: tuple[TileKey, int, Encoding], data: bytes) -> None:
+    def _keep(self, key: tuple[TileKey, TileVersion, Encoding], data: bytes) -> None:
         self._cache[key] = data
         self._cached += len(data)
         while self._cached > _CACHE_BYTES:

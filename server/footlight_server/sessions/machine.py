@@ -117,17 +117,7 @@ class DeadlinePassed:
     """`State.deadline` lies behind."""
 
 
-Event = (
-    TakenUp
-    | RenderingBegan
-    | Heard
-    | WritingBegan
-    | Finished
-    | Failed
-    | WorkerGone
-    | CancelAsked
-    | DeadlinePassed
-)
+Event = TakenUp | RenderingBegan | Heard | WritingBegan | Finished | Failed | WorkerGone | CancelAsked | DeadlinePassed
 
 
 class Effect(Enum):
@@ -143,7 +133,9 @@ class Effect(Enum):
     DISCARD_FILES = auto()
 
 
-def step(state: State, event: Event, now: float, patience: Patience) -> tuple[State, tuple[Effect, ...]]:
+def step(  # noqa: C901, PLR0911 - the one place of all transitions
+    state: State, event: Event, now: float, patience: Patience
+) -> tuple[State, tuple[Effect, ...]]:
     """The state after `event` at time `now` [s, any clock that only goes forward], and what it calls for."""
     if state.phase.ended:
         return state, ()

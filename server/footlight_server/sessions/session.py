@@ -30,9 +30,11 @@ from footlight_server.sessions.machine import (
     WritingBegan,
     step,
 )
+from footlight_server.sessions.tile_queue import TileVersion
 from footlight_server.sessions.viewer import Viewer
 from footlight_server.workers.failure import Failure, FailureReason
-from footlight_server.workers.process import WorkerGoneError, WorkerPool, WorkerProcess
+from footlight_server.workers.pool import WorkerPool
+from footlight_server.workers.process import WorkerGoneError, WorkerProcess
 
 log = logging.getLogger(__name__)
 
@@ -60,8 +62,8 @@ class Session:
         self._state = State(created=time.monotonic())
         self._worker: WorkerProcess | None = None
         self._encoder: TileEncoder | None = None
-        # aov -> tile -> samples: what a viewer that joins has missed.
-        self._shown: dict[str, dict[int, int]] = {}
+        # aov -> tile -> version: what a viewer that joins has missed.
+        self._shown: dict[str, dict[int, TileVersion]] = {}
         self._viewers: list[Viewer] = []
         self._talk: set[asyncio.Task[None]] = set()
         self._clock = time.time() - time.monotonic()
@@ -95,10 +97,12 @@ class Session:
         """[bytes] Of pixels that are kept for viewers."""
         return self._encoder.film_bytes if self._encoder is not None else 0
 
+    @property
     def exr_path(self) -> Path:
         """Where the image is, if there is one."""
         return Path(self._task.exr_path)
 
+    @property
     def png_path(self) -> Path:
         """Where the picture is, if the spec asks for one and there is an image."""
         return Path(self._task.png_path)
@@ -116,8 +120,8 @@ class Session:
         viewer.show_render(self.render, ended=self.ended)
         if self._encoder is not None:
             for aov, tiles in self._shown.items():
-                for tile, samples in tiles.items():
-                    viewer.show_tiles(aov, (tile,), samples, self._encoder)
+                for tile, version in tiles.items():
+                    viewer.show_tiles(aov, (tile,), version, self._encoder)
         self._viewers.append(viewer)
         self._publish()
         try:
@@ -203,11 +207,12 @@ class Session:
                 self._apply(Failed(_failure(event.failed)))
 
     def _show_tiles(self, tiles: worker_pb2.Tiles) -> None:
-        if self._encoder is None or not self._encoder.has(tiles.aov, tiles.indices):
+        if self._encoder is None or tiles.scale < 1 or not self._encoder.has(tiles.aov, tiles.indices):
             raise ValueError(f"the worker shows tiles of {tiles.aov!r} that its film does not have")
-        self._shown.setdefault(tiles.aov, {}).update(dict.fromkeys(tiles.indices, tiles.samples))
+        version = TileVersion(tiles.samples, tiles.scale)
+        self._shown.setdefault(tiles.aov, {}).update(dict.fromkeys(tiles.indices, version))
         for viewer in self._viewers:
-            viewer.show_tiles(tiles.aov, tiles.indices, tiles.samples, self._encoder)
+            viewer.show_tiles(tiles.aov, tiles.indices, version, self._encoder)
 
     def _publish(self) -> None:
         """Tell the worker which AOVs are looked at."""

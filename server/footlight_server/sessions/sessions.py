@@ -19,7 +19,7 @@ from footlight_server.sessions.errors import (
 )
 from footlight_server.sessions.session import Session
 from footlight_server.settings import Settings
-from footlight_server.workers.process import WorkerPool
+from footlight_server.workers.pool import WorkerPool
 
 # [renders] That have ended and are remembered with their results; said in the protocol.
 REMEMBERED = 100
@@ -149,9 +149,7 @@ class Sessions:
             open_cpu_seconds=math.ceil(self._settings.patience.opening * (os.cpu_count() or 1)),
             memory_bytes=self._settings.worker_memory,
         )
-        session = Session(
-            identifier, next(self._numbers), task, directory, self._settings.patience, self._encoders
-        )
+        session = Session(identifier, next(self._numbers), task, directory, self._settings.patience, self._encoders)
         running = asyncio.create_task(self._run(session), name=session.name)
         self._running[session.name] = _Running(session, running)
         running.add_done_callback(lambda _: self._retire(session))

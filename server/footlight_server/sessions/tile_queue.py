@@ -12,19 +12,32 @@ class TileKey:
     tile: int
 
 
+@dataclass(frozen=True, slots=True)
+class TileVersion:
+    """[samples per pixel] in a tile, and [pixels] the edge of the square that one of its pixels stands for."""
+
+    samples: int
+    scale: int
+
+
 class TileQueue:
     """Bounded by the number of tiles, whatever the viewer does. Knows no I/O and no clock."""
 
     def __init__(self, aovs: Iterable[str], credit: int) -> None:
         self._aovs = frozenset(aovs)
         # Ordered: a tile keeps its place while it gets newer.
-        self._due: dict[TileKey, int] = {}
+        self._due: dict[TileKey, TileVersion] = {}
         self._credit = credit
 
     @property
     def aovs(self) -> frozenset[str]:
         """What the viewer looks at."""
         return self._aovs
+
+    @property
+    def credit(self) -> int:
+        """Batches that the viewer has room for."""
+        return self._credit
 
     @property
     def ready(self) -> bool:
@@ -39,14 +52,14 @@ class TileQueue:
         """The viewer has room for more."""
         self._credit += batches
 
-    def mark(self, aov: str, tiles: Iterable[int], samples: int) -> None:
-        """These tiles are new and hold `samples` samples per pixel."""
+    def mark(self, aov: str, tiles: Iterable[int], version: TileVersion) -> None:
+        """These tiles are new."""
         if aov in self._aovs:
             for tile in tiles:
-                self._due[TileKey(aov, tile)] = samples
+                self._due[TileKey(aov, tile)] = version
 
-    def take(self, most: int) -> dict[TileKey, int]:
-        """Up to `most` tiles for one batch, with their samples; costs one credit unless there is nothing to send."""
+    def take(self, most: int) -> dict[TileKey, TileVersion]:
+        """Up to `most` tiles for one batch; costs one credit unless there is nothing to send."""
         if not self.ready:
             return {}
         self._credit -= 1
@@ -55,6 +68,6 @@ class TileQueue:
             del self._due[key]
         return taken
 
-    def put_back(self, unsent: dict[TileKey, int]) -> None:
+    def put_back(self, unsent: dict[TileKey, TileVersion]) -> None:
         """Tiles that did not fit go first again, unless they have become newer meanwhile."""
-        self._due = {key: self._due.get(key, samples) for key, samples in unsent.items()} | self._due
+        self._due = {key: self._due.get(key, version) for key, version in unsent.items()} | self._due

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from footlight.v1 import render_pb2
-from footlight_server.sessions.encoding import EncodedTile, Encoding, TileEncoder
-from footlight_server.sessions.tile_queue import TileKey, TileQueue
+from footlight_server.sessions.encoding import Batch, Encoding, TileEncoder
+from footlight_server.sessions.tile_queue import TileKey, TileQueue, TileVersion
 
 # [bytes] Of pixels in one batch; with headers below the 256 KB of the protocol.
 _BATCH_BYTES = 240 << 10
@@ -20,6 +20,9 @@ MAX_RATE = 12.0
 _ENCODING_SHARE = 0.03
 # [s] The last tiles may take after the end of the render.
 _LINGER = 5.0
+# [s] And a viewer, once all is sent, to give back its credit. A grant that crossed the end of the stream would fail the
+# call on the client's side, with everything it has not read yet.
+_FAREWELL = 0.5
 
 
 class Viewer:
@@ -29,6 +32,7 @@ class Viewer:
         self, aovs: Iterable[str], encoding: Encoding, credit: int, max_rate: float, encoders: ThreadPoolExecutor
     ) -> None:
         self.queue = TileQueue(aovs, credit)
+        self._window = credit
         self._encoding = encoding
         self._period = 1.0 / (max_rate or MAX_RATE)
         self._encoders = encoders
@@ -40,6 +44,7 @@ class Viewer:
         self._round_left = 0
         self._next_round = 0.0
         self._linger_until: float | None = None
+        self._leave_at: float | None = None
 
     # --- filled by the session ---
 
@@ -55,10 +60,10 @@ class Viewer:
         self._progress = progress
         self._wake.set()
 
-    def show_tiles(self, aov: str, tiles: Iterable[int], samples: int, encoder: TileEncoder) -> None:
+    def show_tiles(self, aov: str, tiles: Iterable[int], version: TileVersion, encoder: TileEncoder) -> None:
         """Tiles have new pixels."""
         self._encoder = encoder
-        self.queue.mark(aov, tiles, samples)
+        self.queue.mark(aov, tiles, version)
         self._wake.set()
 
     # --- emptied by the stream ---
@@ -68,7 +73,7 @@ class Viewer:
         self.queue.grant(batches)
         self._wake.set()
 
-    async def next(self) -> render_pb2.Render | render_pb2.Progress | list[EncodedTile] | None:
+    async def next(self) -> render_pb2.Render | render_pb2.Progress | Batch | None:
         """What to send next; None when the render has ended and everything is sent that can be."""
         while True:
             if self._renders:
@@ -77,15 +82,25 @@ class Viewer:
                 progress, self._progress = self._progress, None
                 return progress
             now = time.monotonic()
-            if self._linger_until is not None and (not self.queue or now >= self._linger_until):
+            if self._may_leave(now):
                 return None
             if self.queue.ready and (now >= self._next_round or self._linger_until is not None):
                 return await self._next_batch()
             await self._wait(now)
 
+    def _may_leave(self, now: float) -> bool:
+        """The render has ended, and the viewer has what it can have."""
+        if self._linger_until is None:
+            return False
+        if now >= self._linger_until or (not self.queue and self.queue.credit >= self._window):
+            return True
+        if not self.queue and self._leave_at is None:
+            self._leave_at = now + _FAREWELL
+        return self._leave_at is not None and now >= self._leave_at
+
     async def _wait(self, now: float) -> None:
         """Until there is news, or it is time."""
-        times = [t for t in (self._linger_until, self._next_round if self.queue.ready else None) if t is not None]
+        times = [t for t in (self._leave_at, self._linger_until, self._due_round()) if t is not None]
         self._wake.clear()
         try:
             async with asyncio.timeout(max(0.0, min(times) - now) if times else None):
@@ -93,7 +108,10 @@ class Viewer:
         except TimeoutError:
             pass
 
-    async def _next_batch(self) -> list[EncodedTile]:
+    def _due_round(self) -> float | None:
+        return self._next_round if self.queue.ready else None
+
+    async def _next_batch(self) -> Batch:
         assert self._encoder is not None
         if self._round_left <= 0:
             self._round_left = len(self.queue)
@@ -101,16 +119,16 @@ class Viewer:
         batch, cost = await asyncio.get_running_loop().run_in_executor(
             self._encoders, _encode, self._encoder, due, self._encoding
         )
-        self.queue.put_back(dict(list(due.items())[len(batch) :]))
+        self.queue.put_back(dict(list(due.items())[len(batch.tiles) :]))
         self._round_cost += cost
-        self._round_left -= len(batch)
+        self._round_left -= len(batch.tiles)
         if self._round_left <= 0:
             self._next_round = time.monotonic() + max(self._period, self._round_cost / _ENCODING_SHARE)
             self._round_cost = 0.0
         return batch
 
 
-def _encode(encoder: TileEncoder, due: dict[TileKey, int], encoding: Encoding) -> tuple[list[EncodedTile], float]:
+def _encode(encoder: TileEncoder, due: dict[TileKey, TileVersion], encoding: Encoding) -> tuple[Batch, float]:
     """A batch, and the CPU time [s] it took."""
     before = time.thread_time()
     batch = encoder.encode_batch(due.items(), encoding, _BATCH_BYTES)

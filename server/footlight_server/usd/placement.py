@@ -10,9 +10,9 @@ from footlight_server.usd.values import determinants
 _SHARED = 8
 
 
-def place(ctx: Context, root: Group) -> Doubles | None:
-    """Hands all instances and lights to the sink; the bounds (2, 3) of everything placed, None if that is nothing."""
-    bounds: list[Doubles] = []
+def place(ctx: Context, root: Group) -> list[tuple[str, Doubles]]:
+    """Hands all instances and lights to the sink; (path, bounds (2, 3)) of everything placed in the world."""
+    bounds: list[tuple[str, Doubles]] = []
     places: dict[int, list[Doubles]] = {id(root): [np.eye(4)[None]]}
     for group in _parents_first(root):
         world = places.pop(id(group))
@@ -28,9 +28,14 @@ def place(ctx: Context, root: Group) -> Doubles | None:
             ctx.count("instances", len(local) * len(transforms), child.path)
             nested = (local[None, :] @ transforms[:, None]).reshape(-1, 4, 4)
             places.setdefault(id(child), []).append(nested)
-    if not bounds:
+    return bounds
+
+
+def union(boxes: list[Doubles]) -> Doubles | None:
+    """The box (2, 3) around boxes; None around nothing."""
+    if not boxes:
         return None
-    corners = np.array(bounds)
+    corners = np.array(boxes)
     return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
 
@@ -85,29 +90,35 @@ def _place_prototype(ctx: Context, group: Group, transforms: Doubles) -> None:
 
 
 def _add_instances(ctx: Context, path: str, meshes: list[int], local: Doubles, transforms: Doubles) -> None:
-    ctx.sink.add_instances(
-        path=path, meshes=meshes, local_transforms=local, transforms=transforms, visible_to_camera=True
-    )
+    try:
+        ctx.sink.add_instances(
+            path=path, meshes=meshes, local_transforms=local, transforms=transforms, visible_to_camera=True
+        )
+    except ValueError as error:
+        ctx.report.leave_out(path, "instances", str(error))
 
 
 def _place_lights(ctx: Context, group: Group, transforms: Doubles) -> None:
     for light in group.lights:
         ctx.count("lights", len(transforms), light.path)
         for transform in transforms:
-            reason = light.add(np.ascontiguousarray(light.transform @ transform))
+            try:
+                reason = light.add(np.ascontiguousarray(light.transform @ transform))
+            except ValueError as error:
+                reason = str(error)
             if reason:
                 ctx.report.counts["lights"] -= 1
                 ctx.report.leave_out(light.path, "light", reason)
 
 
-def _bounds(ctx: Context, group: Group, transforms: Doubles) -> list[Doubles]:
-    """[(2, 3)] around all places of the group's own parts, or nothing."""
+def _bounds(ctx: Context, group: Group, transforms: Doubles) -> list[tuple[str, Doubles]]:
+    """Boxes around the group's own parts: each part of the world, all places of a prototype together."""
     boxes = [_moved_box(ctx.mesh_bounds[part.mesh], part.transform[None]) for part in group.parts]
-    if not boxes or not len(transforms):
-        return []
-    corners = np.array(boxes)
-    own = np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
-    return [_moved_box(own, transforms)]
+    if len(transforms) == 1:
+        moved = (_moved_box(box, transforms) for box in boxes)
+        return [(part.path, box) for part, box in zip(group.parts, moved, strict=True)]
+    own = union(boxes)
+    return [] if own is None or not len(transforms) else [(group.path, _moved_box(own, transforms))]
 
 
 def _moved_box(box: np.ndarray, transforms: Doubles) -> Doubles:

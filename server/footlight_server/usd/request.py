@@ -13,6 +13,7 @@ class Budget:
     triangles: int = 400_000_000
     instances: int = 20_000_000
     lights: int = 100_000
+    pixels: int = 1 << 28
 
 
 @dataclass(frozen=True, slots=True)

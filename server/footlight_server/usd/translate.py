@@ -1,17 +1,17 @@
 """Walks a stage and hands what it finds to a SceneSink; the report says what was assumed and what was left out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdShade
+from pxr import Gf, Usd, UsdGeom, UsdShade
 
 from footlight_server.usd.context import Context, Group, GroupLight, LoadImage, Part, Subdivide
 from footlight_server.usd.errors import StageLimitError
 from footlight_server.usd.open import OpenedStage
-from footlight_server.usd.placement import place
-from footlight_server.usd.prims.camera import find_camera, frame_camera, set_camera
+from footlight_server.usd.placement import place, union
+from footlight_server.usd.prims.camera import find_camera, frame_camera, leave_out_clipped, set_camera
 from footlight_server.usd.prims.gprims import SHAPE_TYPES, translate_shape
 from footlight_server.usd.prims.instances import read_placements
 from footlight_server.usd.prims.lights import add_white_dome, is_light, translate_light
@@ -31,6 +31,7 @@ _MAX_NESTING = 64  # of instances in instances
 _GEOMETRY: dict[str, Callable[[Context, Any], Any]] = {"Mesh": translate_mesh}
 _GEOMETRY.update(dict.fromkeys(SHAPE_TYPES, translate_shape))
 _SHOWN = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract & Usd.PrimHasDefiningSpecifier
+_IDENTITY = Gf.Matrix4d(1.0)
 _CHILDREN = Usd.TraverseInstanceProxies(_SHOWN)
 # What a prototype's geometry takes over from above it, besides its place.
 _INHERITED = ("displayColor", "displayOpacity")
@@ -78,6 +79,9 @@ def translate(
     settings = read_settings(stage, time, report)
     report.settings = settings.path
     report.width, report.height = request.size or settings.resolution or DEFAULT_SIZE
+    if report.width * report.height > request.budget.pixels:
+        size = f"{report.width} x {report.height}"
+        raise StageLimitError(f"{settings.path}: {size} pixels, allowed are {request.budget.pixels} in all")
     purposes = set(_DEFAULT_PURPOSES if settings.purposes is None else (*settings.purposes, "default"))
     report.purposes = tuple(sorted(purposes if request.purposes is None else {*request.purposes, "default"}))
     material_purpose = request.material_purpose if request.material_purpose is not None else settings.material_purpose
@@ -118,6 +122,7 @@ class _Walk:
         self._world = Group("/")
         self._prototypes: dict[tuple[object, ...], Group] = {}
         self._open: list[tuple[object, ...]] = []  # keys of the prototypes being walked
+        self._bindings: dict[str, tuple[str, ...]] = {}  # path of a prim -> bindings on it and above
         self._lights_seen = 0
         self._other_purposes = 0
 
@@ -127,14 +132,15 @@ class _Walk:
         self._walk(
             list(ctx.stage.GetPseudoRoot().GetFilteredChildren(_CHILDREN)), _Place(self._world, np.eye(4), "default")
         )
-        bounds = place(ctx, self._world)
-        if bounds is None:
+        placed = place(ctx, self._world)
+        if not placed:
             ctx.report.note("", "the stage has no geometry that can be rendered")
         if camera:
             world = to_matrix(UsdGeom.Xformable(camera).ComputeLocalToWorldTransform(ctx.time))
             set_camera(ctx, camera, settings, world)
+            leave_out_clipped(ctx, camera, world, placed)
         else:
-            frame_camera(ctx, settings, bounds)
+            frame_camera(ctx, settings, union([box for _, box in placed]))
         if not self._lights_seen and not ctx.looks.has_emission:
             add_white_dome(ctx)
         if self._other_purposes:
@@ -190,19 +196,23 @@ class _Walk:
         """The prim's own place; None if it cannot be placed."""
         ctx = self._ctx
         purpose = UsdGeom.Imageable(prim).GetPurposeAttr()
-        here = replace(parent, purpose=str(purpose.Get(ctx.time))) if purpose.HasAuthoredValue() else parent
+        here = parent
+        if purpose.HasAuthoredValue():
+            here = _Place(parent.group, parent.parent, str(purpose.Get(ctx.time)))
         xformable = UsdGeom.Xformable(prim)
         if not xformable:
             return here
-        local = to_matrix(xformable.GetLocalTransformation(ctx.time))
-        if np.array_equal(local, np.eye(4)) and not xformable.GetResetXformStack():
+        value = xformable.GetLocalTransformation(ctx.time)
+        resets = xformable.GetResetXformStack()
+        if value == _IDENTITY and not resets:
             return here
+        local = to_matrix(value)
         if singular := why_singular(local):
             ctx.report.leave_out(prim.GetPath(), str(prim.GetTypeName()), f"{singular}: it and all below it")
             return None
-        if xformable.GetResetXformStack():
-            return replace(here, group=self._world, parent=local)
-        return replace(here, parent=local @ here.parent)
+        if resets:
+            return _Place(self._world, local, here.purpose)
+        return _Place(here.group, local @ here.parent, here.purpose)
 
     def _visit_contents(self, prim: Any, here: _Place) -> None:
         ctx = self._ctx
@@ -217,8 +227,12 @@ class _Walk:
             add = translate_light(ctx, prim)
             if add is not None:
                 here.group.lights.append(GroupLight(str(prim.GetPath()), here.parent, add))
-        elif geometry is None and prim.IsA(UsdGeom.Boundable):
+        elif geometry is None and prim.IsA(UsdGeom.Boundable) and name != "SkelRoot":
             ctx.report.leave_out(prim.GetPath(), name, "no geometry of that type can be rendered")
+        if prim.HasRelationship("skel:skeleton"):
+            ctx.report.leave_out(
+                prim.GetPath(), "skel:skeleton", "skinning is not rendered: the points stay as they are"
+            )
 
     def _visit_instance(self, prim: Any, here: _Place) -> None:
         """A native instance: its prototype, walked under the first instance that inherits the same."""
@@ -270,17 +284,25 @@ class _Walk:
         for name in _INHERITED:
             primvar = api.FindPrimvarWithInheritance(name)
             values.append(str(primvar.Get(self._ctx.time)) if primvar and primvar.HasValue() else None)
-        bindings = [
-            name.startswith("material:binding:collection")
-            for ancestor in _ancestors(prim)
-            for name in ancestor.GetAuthoredPropertyNames()
-            if name.startswith("material:binding")
-        ]
-        if any(bindings):
+        bindings = self._bindings_at(prim)
+        if any(name.startswith("material:binding:collection") for name in bindings):
             values.append(str(prim.GetPath()))  # a collection may name what is inside this very instance
         elif bindings:
             values.append(self._ctx.looks.bound_path(prim))
         return tuple(values)
+
+    def _bindings_at(self, prim: Any) -> tuple[str, ...]:
+        """Names of the material bindings authored on the prim and above it."""
+        if prim.IsPseudoRoot():
+            return ()
+        parent = prim.GetParent()
+        path = str(parent.GetPath())
+        above = self._bindings.get(path)
+        if above is None:
+            above = self._bindings_at(parent)
+            self._bindings[path] = above
+        own = [str(found.GetName()) for found in prim.GetAuthoredPropertiesInNamespace("material")]
+        return (*above, *(name for name in own if name.startswith("material:binding")))
 
     def _leave_out_instance_primvars(self, prim: Any) -> None:
         for name in _INHERITED:
@@ -289,11 +311,3 @@ class _Walk:
                 self._ctx.report.leave_out(
                     prim.GetPath(), f"primvars:{name}", "colours per instance of a PointInstancer are not rendered yet"
                 )
-
-
-def _ancestors(prim: Any) -> list[Any]:
-    found = []
-    while prim and not prim.IsPseudoRoot():
-        found.append(prim)
-        prim = prim.GetParent()
-    return found

@@ -1,11 +1,14 @@
 """Polygons to triangles: fans for convex faces, ear clipping for concave ones."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from footlight_server.usd.sink import Floats, Indices, Ints
 from footlight_server.usd.values import BadValueError, check_indices
+
+_BLOCK = 1 << 17  # corners at a time: what is computed between two passes stays in the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,28 +86,37 @@ def _cut_faces(points: Floats, indices: Ints, starts: np.ndarray, n: int) -> Ind
     cut = first + fan
     if n == 3:
         return cut
-    step = max(1, (1 << 22) // n)  # faces at a time, to bound the memory
     other = np.array([[1, 2, 3], [1, 3, 0]], np.uint32)
+    step = max(1, _BLOCK // n)
     for begin in range(0, len(starts), step):
-        block = slice(begin, begin + step)
-        polygons = points[indices[starts[block, None] + np.arange(n)]].astype(np.float64)
-        bent = np.flatnonzero(_is_fan_bad(polygons))
+        block = starts[begin : begin + step]
+        columns = [points[indices[block + k]].T.astype(np.float64, order="C") for k in range(n)]
+        bent = np.flatnonzero(_is_fan_bad(columns))
+        if not bent.size:
+            continue
         if n == 4:
             cut[begin + bent] = first[begin + bent] + other
         else:
             for i in bent.tolist():
-                cut[begin + i] = starts[begin + i] + _clip_ears(polygons[i])
+                cut[begin + i] = block[i] + _clip_ears(np.array([column[:, i] for column in columns]))
     return cut
 
 
-def _is_fan_bad(polygons: np.ndarray) -> np.ndarray:
-    """(F,) whether the fan from corner 0 folds back on itself somewhere."""
-    edges = polygons[:, 1:] - polygons[:, :1]
+def _is_fan_bad(corners: list[np.ndarray]) -> np.ndarray:
+    """(F,) whether the fan from corner 0 folds back on itself somewhere; corners: n times (3, F)."""
     with np.errstate(all="ignore"):  # huge coordinates: the face keeps its fan
-        normals = np.cross(edges[:, :-1], edges[:, 1:])
-        total = normals.sum(axis=1)
-        bad: np.ndarray = (np.einsum("fki,fi->fk", normals, total) < 0).any(axis=1)
+        edges = [corner - corners[0] for corner in corners[1:]]
+        normals = [_cross(a, b) for a, b in pairwise(edges)]
+        x, y, z = (sum(column[1:], start=column[0]) for column in zip(*normals, strict=True))
+        bad = np.zeros(len(x), bool)
+        for normal in normals:
+            bad |= normal[0] * x + normal[1] * y + normal[2] * z < 0
     return bad
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cross products of columns (3, F), as three columns: several times as fast as np.cross of rows."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _clip_ears(polygon: np.ndarray) -> Indices:

@@ -85,16 +85,18 @@ def to_matrix(value: Any) -> Doubles:
 
 def why_singular(matrix: Doubles) -> str:
     """Why a transform cannot be used, or an empty string."""
-    if not np.isfinite(matrix).all():
+    # One matrix per prim: plain numbers are ten times as fast as numpy here.
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = rows = matrix.tolist()
+    if not all(math.isfinite(value) for row in rows for value in row):
         return "its transform is not finite"
-    if determinants(matrix[None])[0] == 0:
+    if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) == 0:
         return "its transform is singular (determinant 0)"
     return ""
 
 
 def determinants(matrices: Doubles) -> Doubles:
     """Determinants of the linear parts of (K, 4, 4), exactly 0 for repeated or zero rows."""
-    a, b, c = matrices[:, 0, :3], matrices[:, 1, :3], matrices[:, 2, :3]
+    (a, b, c), (d, e, f), (g, h, i) = matrices[:, :3, :3].transpose(1, 2, 0)
     with np.errstate(all="ignore"):  # not finite is the caller's test
-        result: Doubles = np.einsum("ki,ki->k", a, np.cross(b, c))
+        result: Doubles = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
     return result

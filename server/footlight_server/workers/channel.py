@@ -44,7 +44,7 @@ class Frames:
         if len(self._buffer) < end:
             return None
         try:
-            message = kind.FromString(bytes(self._buffer[_LENGTH.size : end]))
+            message: M = kind.FromString(bytes(self._buffer[_LENGTH.size : end]))
         except DecodeError as error:
             raise BrokenFrameError(f"a frame that is no {kind.DESCRIPTOR.name}: {error}") from error
         del self._buffer[:end]
@@ -53,7 +53,7 @@ class Frames:
 
 def frame(message: Message) -> bytes:
     """The bytes of one message on the wire."""
-    data = message.SerializeToString()
+    data: bytes = message.SerializeToString()
     return _LENGTH.pack(len(data)) + data
 
 
@@ -125,9 +125,7 @@ class ServerEnd:
 
     def _on_readable(self) -> None:
         try:
-            data, ancillary, _, _ = self._socket.recvmsg(
-                _READ, socket.CMSG_SPACE(4), socket.MSG_CMSG_CLOEXEC
-            )
+            data, ancillary, _, _ = self._socket.recvmsg(_READ, socket.CMSG_SPACE(4), socket.MSG_CMSG_CLOEXEC)
             self._keep_descriptors(ancillary)
             self._frames.feed(data)
             while (message := self._frames.take(self._kind)) is not None:

@@ -31,16 +31,20 @@ class Failure:
 _MEMORY_CRIES = ("bad_alloc", "MemoryError", "Cannot allocate memory", "Resource temporarily unavailable")
 
 
-def read_exit(returncode: int, stderr: str, memory_bytes: int, *, over_memory: bool) -> Failure:
+# [1] Of the limit: code that never expects an allocation to fail crashes near it in ways of its own.
+_NEAR_LIMIT = 0.7
+
+
+def read_exit(returncode: int, stderr: str, memory_bytes: int, memory_limit: int, *, over_memory: bool) -> Failure:
     """The failure that the end of a worker process stands for.
 
-    `returncode` as in subprocess; `stderr` its last words; `memory_bytes` the most it was seen to hold; `over_memory`: the
-    server killed it for that.
+    `returncode` as in subprocess; `stderr` its last words; `memory_bytes` the most it was seen to hold; `memory_limit`
+    what it may, or 0; `over_memory`: the server killed it for that.
     """
     held = f"it held {memory_bytes / 2**20:.0f} MB"
     if over_memory:
         return Failure(FailureReason.OUT_OF_MEMORY, f"the worker passed its limit of memory; {held}")
-    if any(cry in stderr for cry in _MEMORY_CRIES):
+    if any(cry in stderr for cry in _MEMORY_CRIES) or 0 < _NEAR_LIMIT * memory_limit < memory_bytes:
         return Failure(FailureReason.OUT_OF_MEMORY, f"the worker ran out of memory; {held}")
     if returncode >= 0:
         return Failure(

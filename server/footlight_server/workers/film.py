@@ -83,14 +83,14 @@ def _views(shape: FilmShape, memory: mmap.mmap) -> Iterator[tuple[str, NDArray[n
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """`planes[name]` is (height, width, channels) float32, a view of the shared memory, which lives as long as a view does."""
+    """`planes[name]` is (height, width, channels) float32; the shared memory lives as long as one of these views."""
 
     shape: FilmShape
     planes: Mapping[str, NDArray[np.float32]]
 
 
 def create_film(shape: FilmShape) -> tuple[Film, int]:
-    """A film of zeros and its descriptor, which the caller closes. Its size is sealed. Pages come as they are written."""
+    """A film of zeros, its size sealed, and its descriptor, which the caller closes. Takes memory as it is written."""
     descriptor = os.memfd_create("footlight-film", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         os.ftruncate(descriptor, shape.bytes)
@@ -105,7 +105,7 @@ def create_film(shape: FilmShape) -> tuple[Film, int]:
 def open_film(shape: FilmShape, descriptor: int) -> Film:
     """The server's view, read only. Closes the descriptor.
 
-    Raises ValueError if the memory is smaller than the shape or could shrink later: reading it would then kill the server.
+    Raises ValueError if the memory is smaller than the shape or could shrink: reading it would then kill the server.
     """
     try:
         if not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:

@@ -5,10 +5,11 @@ import os
 import resource
 import signal
 from collections.abc import Mapping
+from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
-# What a worker needs to know of the machine. USD's own variables (PXR_PLUGINPATH_NAME, PXR_AR_DEFAULT_SEARCH_PATH, TF_*),
-# PYTHONPATH and LD_* would let the surroundings decide what code and which files a stage reaches.
+# What a worker needs to know of the machine. USD's own variables (PXR_PLUGINPATH_NAME, PXR_AR_DEFAULT_SEARCH_PATH,
+# TF_*), PYTHONPATH and LD_* would let the surroundings decide what code and which files a stage reaches.
 _KEPT = ("HOME", "LANG", "LC_ALL", "LC_CTYPE", "OCIO", "PATH", "TMPDIR", "TZ")
 
 
@@ -25,12 +26,16 @@ def die_with_parent() -> None:
 
 
 def set_limits(memory_bytes: int, cpu_seconds: int) -> None:
-    """Limit address space, CPU time from now on (SIGXCPU), and core files. 0: no limit."""
+    """Limit private memory and CPU time (SIGXCPU), both from now on, and core files. 0: no limit.
+
+    RLIMIT_DATA and not RLIMIT_AS: of address space a process with threads reserves gigabytes that it never touches.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if memory_bytes:
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        limit = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = private_memory() + memory_bytes
+        limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     if cpu_seconds:
         used = resource.getrusage(resource.RUSAGE_SELF)
         soft = int(used.ru_utime + used.ru_stime) + cpu_seconds
@@ -45,6 +50,11 @@ def lift_cpu_limit() -> None:
 def physical_memory() -> int:
     """[bytes] Of the machine."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def private_memory() -> int:
+    """[bytes] Of private writable memory that this process has mapped, touched or not: what RLIMIT_DATA counts."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * resource.getpagesize()
 
 
 def peak_memory() -> int:

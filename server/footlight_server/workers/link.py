@@ -28,7 +28,7 @@ class Link:
         return self._aovs
 
     def receive_task(self) -> worker_pb2.Task:
-        """Wait for the task, then listen for the rest in the background. Leaves the process when the server has gone."""
+        """Wait for the task, then listen for the rest in the background. Ends the process when the server has gone."""
         request = self._end.receive(worker_pb2.WorkerRequest)
         if request is None:
             os._exit(0)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-# [samples per pixel] A pass doubles what is there, up to this: later ones refresh every tile as often as it is worth a look.
+# [samples per pixel] A pass doubles what is there, up to this, so that every tile is refreshed while one watches.
 LONGEST_PASS = 16
 # [s] How long a slice shall last: short at first, for the first tiles; longer later, since the threads wait at its end.
 FIRST_SLICE = 0.05

@@ -6,7 +6,6 @@ import logging
 import os
 import socket
 import sys
-import time
 from collections import deque
 from pathlib import Path
 
@@ -137,7 +136,7 @@ class WorkerProcess:
             async with asyncio.timeout(_DYING):
                 await self._process.wait()
         except TimeoutError:
-            log.error("worker %d does not die", self.pid)
+            log.warning("worker %d does not die", self.pid)
         finally:
             self._channel.close()
             for task in self._tasks:
@@ -159,7 +158,9 @@ class WorkerProcess:
         if words:
             log.warning("worker %d said: %s", self.pid, words.strip()[-2000:])
         code = self._process.returncode
-        return read_exit(-9 if code is None else code, words, self._peak, over_memory=self._over_memory)
+        return read_exit(
+            -9 if code is None else code, words, self._peak, self._memory_limit, over_memory=self._over_memory
+        )
 
     async def _keep_last_words(self) -> None:
         assert self._process.stderr is not None
@@ -172,12 +173,8 @@ class WorkerProcess:
 
     async def _watch_memory(self) -> None:
         """The second line behind the limit of address space, which does not count what is really held."""
-        status = Path(f"/proc/{self.pid}/statm")
         while self._process.returncode is None:
-            try:
-                held = int(status.read_text().split()[1]) * _PAGE
-            except (OSError, IndexError):
-                return
+            held = _resident(self.pid)
             self._peak = max(self._peak, held)
             if self._memory_limit and held > self._memory_limit:
                 self._over_memory = True
@@ -186,61 +183,9 @@ class WorkerProcess:
             await asyncio.sleep(_WATCH_PERIOD)
 
 
-class WorkerPool:
-    """Gives out workers; keeps one warm ahead of need."""
-
-    def __init__(self, memory_limit: int, *, spare: bool) -> None:
-        self._memory_limit = memory_limit
-        self._spare = spare
-        self._next: asyncio.Task[WorkerProcess] | None = None
-
-    def prepare(self) -> None:
-        """Have a worker warm up for the next task, if none does."""
-        if self._next is None:
-            self._next = asyncio.create_task(self._warm())
-
-    def prepare_spare(self) -> None:
-        """The same, while a task runs; a server that expects one task only does not."""
-        if self._spare:
-            self.prepare()
-
-    async def take(self) -> WorkerProcess:
-        """A warm worker, which the caller closes. Raises WorkerGoneError if none can be had."""
-        started = time.monotonic()
-        while True:
-            self.prepare()
-            assert self._next is not None
-            coming, self._next = self._next, None
-            worker = await self._hand_over(coming)
-            if worker.alive:
-                log.debug("worker %d taken after %.3f s", worker.pid, time.monotonic() - started)
-                return worker
-            await worker.close()  # it died while it waited
-
-    async def close(self) -> None:
-        """End the worker that waits."""
-        if self._next is not None:
-            coming, self._next = self._next, None
-            coming.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WorkerGoneError):
-                await (await coming).close()
-
-    async def _warm(self) -> WorkerProcess:
-        worker = await WorkerProcess.spawn(self._memory_limit)
-        try:
-            await worker.warm_up()
-        except BaseException:
-            await worker.close()
-            raise
-        return worker
-
-    async def _hand_over(self, coming: asyncio.Task[WorkerProcess]) -> WorkerProcess:
-        """Wait for a warming worker; if the waiter is cancelled, the worker goes back."""
-        try:
-            return await asyncio.shield(coming)
-        except asyncio.CancelledError:
-            if self._next is None:
-                self._next = coming
-            else:
-                coming.cancel()
-            raise
+def _resident(pid: int) -> int:
+    """[bytes] That a process holds; 0 if it is gone."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * _PAGE
+    except (OSError, IndexError):
+        return 0

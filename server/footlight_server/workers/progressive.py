@@ -1,5 +1,6 @@
 """Takes the samples of a render, pass by pass and slice by slice, and tells how far it is."""
 
+import math
 import os
 import time
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ class SampleTaker(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """When to stop: [samples per pixel], [s], [relative]; 0 for no limit of time or error. And [threads] to keep busy."""
+    """When to stop: [samples per pixel], [s], [relative], 0 for no limit; and [threads] to keep busy."""
 
     spp: int
     seconds: float
@@ -81,9 +82,7 @@ class ProgressiveRender:
             return 0
         samples = self._pace.pass_samples(self.done, goal.spp, self.elapsed, goal.threads)
         if goal.seconds and self.done:
-            samples = min(
-                samples, self._pace.samples_within(goal.seconds - self.elapsed, self._renderer.tiles)
-            )
+            samples = min(samples, self._pace.samples_within(goal.seconds - self.elapsed, self._renderer.tiles))
         return samples
 
     def _take_pass(self, samples: int) -> bool:
@@ -106,8 +105,9 @@ class ProgressiveRender:
     def _measure_error(self) -> None:
         if self.done >= 2:
             error = self._renderer.error()
-            self._progress.error_mean = error["mean"]
-            self._progress.error_p95 = error["p95"]
+            if math.isfinite(error["mean"]) and math.isfinite(error["p95"]):
+                self._progress.error_mean = error["mean"]
+                self._progress.error_p95 = error["p95"]
 
     def _report(self, done: float, *, force: bool = False) -> None:
         elapsed = self.elapsed

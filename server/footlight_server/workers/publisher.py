@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from footlight.worker.v1 import worker_pb2
-from footlight_server.workers.film import Film, create_film, shape_of
+from footlight_server.workers.film import TILE, Film, create_film, shape_of
 from footlight_server.workers.link import Link
 
 
@@ -48,6 +48,16 @@ class Publisher:
             tiles = range(begin, end) if aov in self._known else np.flatnonzero(self._samples).tolist()
             self._copy(aov, tiles)
         self._known = frozenset(wanted)
+
+    def publish_coarse(self, image: NDArray[np.float32], scale: int) -> None:
+        """Show a `color` in which one pixel stands for `scale` x `scale`; it lies at the upper left of each tile."""
+        shape, plane, step = self._film.shape, self._film.planes["color"], TILE // scale
+        for tile in range(shape.tiles):
+            box = shape.box(tile)
+            part = image[box.y // scale :, box.x // scale :][:step, :step]
+            plane[box.y : box.y + part.shape[0], box.x : box.x + part.shape[1]] = part
+        message = worker_pb2.Tiles(aov="color", indices=range(shape.tiles), samples=0, scale=scale)
+        self._link.send(worker_pb2.WorkerEvent(tiles=message))
 
     def _copy(self, aov: str, tiles: Sequence[int]) -> None:
         plane = self._film.planes[aov]

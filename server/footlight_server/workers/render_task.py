@@ -1,8 +1,9 @@
 """One task from stage to image, in the worker: open, translate, commit, render, write, tell."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import footlight_core
@@ -12,12 +13,13 @@ from footlight_server.images.display import check_view, write_png
 from footlight_server.images.exr import Attribute, write_exr
 from footlight_server.images.files import ImageError
 from footlight_server.workers.causes import failing_as
+from footlight_server.workers.coarse import SCALE, coarse_image, worth_it
 from footlight_server.workers.failure import FailureReason
 from footlight_server.workers.limits import lift_cpu_limit, peak_memory, set_limits
 from footlight_server.workers.link import Link
 from footlight_server.workers.progressive import Goal, ProgressiveRender, threads_of
 from footlight_server.workers.publisher import Publisher
-from footlight_server.workers.reports import effects_of, stage_report
+from footlight_server.workers.reports import effects_of, refuse_left_out, stage_report
 from footlight_server.workers.stage import LoadedStage, load_stage
 from footlight_server.workers.versions import versions
 
@@ -52,17 +54,18 @@ class RenderTask:
         scene = footlight_core.Scene()
         loaded = load_stage(self._task, scene, self._seconds)
         self._spec.MergeFrom(loaded.resolved)
+        build = partial(self._build, scene)
         with self._timed("commit"), failing_as(FailureReason.SCENE, ValueError, RuntimeError):
-            renderer = footlight_core.Renderer(scene, self._options(self._spec.width, self._spec.height))
+            renderer = build(self._spec.width, self._spec.height)
         lift_cpu_limit()
         report = stage_report(loaded.report, renderer)
-        self._link.send(
-            worker_pb2.WorkerEvent(opened=worker_pb2.Opened(spec=self._spec, report=report))
-        )
+        if self._spec.strict:
+            refuse_left_out(report)
+        self._link.send(worker_pb2.WorkerEvent(opened=worker_pb2.Opened(spec=self._spec, report=report)))
         if self._task.explain:
             self._link.send(worker_pb2.WorkerEvent(done=worker_pb2.Done()))
         else:
-            self._render(renderer, report, loaded)
+            self._render(renderer, build, report, loaded)
 
     @property
     def _aovs(self) -> list[str]:
@@ -83,21 +86,32 @@ class RenderTask:
             force_effects=list(spec.force_effects),
         )
 
+    def _build(self, scene: footlight_core.Scene, width: int, height: int) -> footlight_core.Renderer:
+        return footlight_core.Renderer(scene, self._options(width, height))
+
     def _check_options(self) -> None:
         """What can be known to be wrong before the stage is read. Raises TaskFailedError."""
         with failing_as(FailureReason.INVALID_ARGUMENT, ValueError):
-            self._options(self._spec.width or 1, self._spec.height or 1)
+            options = self._options(self._spec.width or 1, self._spec.height or 1)
+            if self._spec.force_effects:  # their names are looked at when a scene is committed
+                footlight_core.Renderer(footlight_core.Scene(), options)
             if self._spec.HasField("png"):
                 check_view(self._spec.png.view)
 
     def _render(
-        self, renderer: footlight_core.Renderer, report: report_pb2.StageReport, loaded: LoadedStage
+        self,
+        renderer: footlight_core.Renderer,
+        build: Callable[[int, int], footlight_core.Renderer],
+        report: report_pb2.StageReport,
+        loaded: LoadedStage,
     ) -> None:
         spec = self._spec
         publisher = Publisher(self._link, renderer, spec.width, spec.height, self._aovs)
         goal = Goal(spec.spp, spec.time_limit_seconds, spec.error_limit, threads_of(spec))
         work = ProgressiveRender(renderer, goal, publisher, self._link)
         with self._timed("render"):
+            if worth_it(renderer.tiles, renderer.stats()["triangles"]):
+                publisher.publish_coarse(coarse_image(spec.width, spec.height, build), SCALE)
             work.run()
         done = worker_pb2.Done(has_image=work.done > 0)
         done.cancelled = self._link.finish_asked and work.done < spec.spp

@@ -5,6 +5,8 @@ from typing import Any, Protocol
 
 from footlight.v1 import report_pb2
 from footlight_server.usd import Report
+from footlight_server.workers.causes import TaskFailedError
+from footlight_server.workers.failure import Failure, FailureReason
 
 # Prims that are named for each effect; all are counted.
 _NAMED_PRIMS = 16
@@ -15,6 +17,7 @@ class Pipeline(Protocol):
 
     effects: list[dict[str, Any]]
     pipeline: list[str]
+    left_out: list[tuple[str, str]]
 
 
 def effects_of(renderer: Pipeline, report: Report) -> list[report_pb2.Effect]:
@@ -33,12 +36,23 @@ def stage_report(report: Report, renderer: Pipeline) -> report_pb2.StageReport:
     message = report_pb2.StageReport(effects=effects_of(renderer, report), pipeline=renderer.pipeline)
     for line in report.left_out:
         message.left_out.add(prim_path=line.path, what=line.what, reason=line.reason)
+    for path, reason in renderer.left_out:
+        message.left_out.add(prim_path=path, what="light or geometry", reason=reason)
     for assumption in report.assumed:
         message.assumed.add(what=assumption.what, reason=assumption.reason)
     for remark in report.notes:
         message.remarks.add(prim_path=remark.path, message=remark.message)
     _fill(message.counts, report.counts)
     return message
+
+
+def refuse_left_out(report: report_pb2.StageReport) -> None:
+    """Raises TaskFailedError if anything was left out."""
+    if report.left_out:
+        first = report.left_out[0]
+        more = f" (and {len(report.left_out) - 1} more)" if len(report.left_out) > 1 else ""
+        message = f"strict: {first.prim_path} {first.what} would be left out: {first.reason}{more}"
+        raise TaskFailedError(Failure(FailureReason.SCENE, message, first.prim_path))
 
 
 def _effect(name: str, reason: str, paths: Iterable[str], *, active: bool) -> report_pb2.Effect:

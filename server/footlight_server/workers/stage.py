@@ -4,22 +4,26 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from footlight.v1 import render_pb2, stats_pb2
 from footlight.worker.v1 import worker_pb2
+from footlight_server.images.texture import read_image
 from footlight_server.usd import (
     CameraError,
     Report,
     SceneSink,
     StageError,
+    StageMalformedError,
     StageNotFoundError,
     StageUnreadableError,
-    StageMalformedError,
     TranslateRequest,
     open_stage,
     translate,
 )
-from footlight_server.workers.causes import TaskFailedError, failing_as
-from footlight_server.workers.failure import Failure, FailureReason
+from footlight_server.workers.causes import failing_as
+from footlight_server.workers.failure import FailureReason
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +54,14 @@ def load_stage(task: worker_pb2.Task, sink: SceneSink, seconds: stats_pb2.StageS
         failing_as(FailureReason.SCENE, StageError, ValueError),
         failing_as(FailureReason.INVALID_ARGUMENT, CameraError),
     ):
-        report = translate(opened.stage, sink, request)
+        report = translate(opened, sink, request, load_image=_load_image)
     seconds.translate = time.monotonic() - before
-    for error in opened.composition_errors:
-        report.note("", error)
-    if spec.strict:
-        _refuse_left_out(report)
     resolved = render_pb2.RenderSpec(
         camera_path=report.camera, time_code=report.time_code, width=report.width, height=report.height
     )
     return LoadedStage(report, resolved)
 
 
-def _refuse_left_out(report: Report) -> None:
-    if report.left_out:
-        first = report.left_out[0]
-        more = f" (and {len(report.left_out) - 1} more)" if len(report.left_out) > 1 else ""
-        message = f"strict: {first.path} {first.what} would be left out: {first.reason}{more}"
-        raise TaskFailedError(Failure(FailureReason.SCENE, message, first.path))
+def _load_image(path: str) -> NDArray[np.float32]:
+    """(H, W, 3) linear texels. Raises ImageError, a ValueError, naming the file."""
+    return read_image(Path(path))

@@ -95,6 +95,18 @@ def set_camera(ctx: Context, prim: Any, settings: ImageSettings, world: Doubles)
     ctx.report.camera = path
 
 
+def leave_out_clipped(ctx: Context, prim: Any, world: Doubles, placed: list[tuple[str, Doubles]]) -> None:
+    """Names what is in front of the camera and wholly outside its clippingRange: nothing vanishes in silence."""
+    near, far = _clipping_range(ctx, UsdGeom.Camera(prim))
+    back = _without_scale(world)[2, :3]
+    for path, (low, high) in placed:
+        depth = float((world[3, :3] - (low + high) / 2.0) @ back)
+        reach = float((high - low) / 2.0 @ np.abs(back))
+        if 0 < depth + reach < near or depth - reach > far:
+            where = f"at most {depth + reach:g} from" if depth + reach < near else f"at least {depth - reach:g} from"
+            ctx.report.leave_out(path, "clippingRange", f"{where} {prim.GetPath()}, which sees {near:g} to {far:g}")
+
+
 def frame_camera(ctx: Context, settings: ImageSettings, bounds: Doubles | None) -> None:
     """A camera that sees all of the bounds (2, 3), from +Z with Y up and from -Y with Z up (as usdrecord does)."""
     if bounds is None:

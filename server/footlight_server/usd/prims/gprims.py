@@ -32,7 +32,7 @@ def translate_shape(ctx: Context, prim: Any) -> list[tuple[int, Doubles]]:
     colors = _constant(ctx, prim, "displayColor", 3) if look.reads_color else None
     opacities = _constant(ctx, prim, "displayOpacity", 1) if look.reads_opacity else None
     left_handed = str(UsdGeom.Gprim(prim).GetOrientationAttr().Get(ctx.time)) == "leftHanded"
-    mesh_key = (*key, look.id, left_handed, _bytes(colors), _bytes(opacities))
+    mesh_key: tuple[object, ...] = (*key, look.id, left_handed, _bytes(colors), _bytes(opacities))
     mesh = ctx.shape_meshes.get(mesh_key)
     if mesh is None:
         mesh = add_mesh(ctx, str(prim.GetPath()), look, _geometry(shape, colors, opacities, left_handed=left_handed))

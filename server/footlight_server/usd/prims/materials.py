@@ -134,7 +134,11 @@ class Looks:
             surface.opacity = 1.0 if surface.opacity >= threshold else 0.0
         for unused in _UNUSED:
             reader.leave_out_connection(unused)
-        look_id = surface.add_to(self.sink, path)
+        try:
+            look_id = surface.add_to(self.sink, path)
+        except ValueError as error:
+            self.report.leave_out(path, "Material", str(error))
+            return self.unbound()
         self.report.counts["materials"] += 1
         return Look(
             look_id,

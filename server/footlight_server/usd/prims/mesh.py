@@ -50,17 +50,18 @@ class Geometry:
 
 def translate_mesh(ctx: Context, prim: Any) -> list[tuple[int, None]]:
     """Ids of the meshes of one prim; what cannot be used is a line in the report."""
+    path = str(prim.GetPath())
     try:
         looks = _looks_of_faces(ctx, prim)
         geometry = _read(ctx, UsdGeom.Mesh(prim), [look for look, _ in looks])
-    except BadValueError as error:
-        ctx.report.leave_out(prim.GetPath(), "Mesh", str(error))
+        if len(looks) == 1:
+            pieces = [(looks[0][0], geometry)]
+        else:
+            pieces = [(look, geometry.only(mask[geometry.faces])) for look, mask in looks if mask is not None]
+        return [(add_mesh(ctx, path, look, piece), None) for look, piece in pieces if len(piece.triangles)]
+    except ValueError as error:  # a bad value found here, or refused by the sink
+        ctx.report.leave_out(path, "Mesh", str(error))
         return []
-    if len(looks) == 1:
-        pieces = [(looks[0][0], geometry)]
-    else:
-        pieces = [(look, geometry.only(mask[geometry.faces])) for look, mask in looks if mask is not None]
-    return [(add_mesh(ctx, str(prim.GetPath()), look, piece), None) for look, piece in pieces if len(piece.triangles)]
 
 
 def add_mesh(ctx: Context, path: str, look: Look, geometry: Geometry) -> int:

@@ -1,0 +1,233 @@
+"""Laws about light: closed forms at any size and distance, domes at their poles, lights of no or negative power."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.laws import scenes
+from tests.laws.scenes import WHITE, Array, Camera, Light, Material, Stage
+
+COUNT = 8
+
+
+def plate(*lights: Light, reflectance: float = 1.0) -> Stage:
+    """A plate on y = 0 seen at its origin from the side, so narrowly that it is one point."""
+    camera = Camera(scenes.look_at((3.0, 3.0, 0.0), (0.0, 0.0, 0.0)), focal_length=3.6e5)
+    floor = scenes.quad((-1, 0, 1), (2, 0, 0), (0, 0, -2), Material((reflectance,) * 3))
+    return Stage(camera, (floor,), lights, max_depth=2)
+
+
+def probe(stage: Stage, spp: int = 256, **options: Any) -> tuple[float, float]:
+    """Mean radiance of the view and its standard error."""
+    means = [scenes.image(stage, width=8, height=8, spp=spp, seed=1 + s, **options).mean() for s in range(COUNT)]
+    return float(np.mean(means)), float(np.std(means, ddof=1) / math.sqrt(COUNT))
+
+
+def assert_radiance(stage: Stage, expected: float, tolerance: float, **options: Any) -> None:
+    mean, error = probe(stage, **options)
+    # Student's t of seven degrees of freedom at two-sided 2e-4.
+    assert abs(mean - expected) < tolerance * abs(expected) + 7.1 * error, f"{mean} +- {error}, expected {expected}"
+    assert error < 0.02 * abs(expected) + 1e-12, f"{mean} +- {error}: too noisy to prove anything"
+
+
+# --- L01: sphere lights of any size ---
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light"])
+@pytest.mark.parametrize("ratio", [0.5, 0.1, 1e-2, 1e-3, 3e-4, 1e-4, 1e-5, 1e-7])
+def test_l01_sphere_light_at_any_distance(ratio: float, strategy: str) -> None:
+    """L01: E = pi L r^2/h^2. By 1 - cos in single precision it is 7 % off at 1e-3 and black at 1e-4."""
+    lamp = scenes.bulb(scenes.translate(0.0, 1.0, 0.0), ratio, scenes.times(WHITE, 1 / (math.pi * ratio**2)))
+    assert_radiance(plate(lamp), 1 / math.pi, 2e-3, strategy=strategy)
+
+
+def test_l01_control_the_naive_cone_is_out_of_tolerance() -> None:
+    for ratio, error in ((1e-3, 0.05), (3e-4, 0.2), (1e-5, 0.99)):
+        sine2 = np.float32(ratio) ** 2
+        naive = 2 * math.pi * float(np.float32(1) - np.sqrt(np.float32(1) - sine2))
+        assert abs(naive / (math.pi * ratio**2) - 1) > error
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light", "bsdf"])
+@pytest.mark.parametrize(("radius", "height"), [(0.5, 1.0), (0.5, 0.25), (0.05, 0.5)])
+def test_disk_light_on_axis(radius: float, height: float, strategy: str) -> None:
+    lamp = scenes.disk(scenes.chain(scenes.rotate("x", -90), scenes.translate(0.0, height, 0.0)), radius)
+    if strategy == "bsdf" and radius / height < 0.2:
+        pytest.skip("BSDF samples find it too rarely")
+    camera = Camera(scenes.look_at((3.0, 0.375, 0.0), (0.0, 0.0, 0.0)), focal_length=3.6e6)
+    stage = plate(lamp)
+    stage = Stage(camera if height < 0.5 else stage.camera, stage.meshes, stage.lights, max_depth=2)
+    assert_radiance(stage, radius**2 / (radius**2 + height**2), 2e-3, strategy=strategy, spp=1024)
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light"])
+@pytest.mark.parametrize(
+    ("stretch", "normalize"), [((1.0, 3.0, 1.0), False), ((1.0, 3.0, 1.0), True), ((2.0, 2.0, 2.0), True)]
+)
+def test_l23_disk_light_under_scale(stretch: tuple[float, float, float], normalize: bool, strategy: str) -> None:
+    """L23: an ellipse of radii 0.25 a and 0.25 b, its irradiance by quadrature over its area."""
+    place = scenes.chain(scenes.scale(*stretch), scenes.rotate("x", -90), scenes.translate(0.0, 1.0, 0.0))
+    a, b = 0.25 * stretch[0], 0.25 * stretch[1]
+    n = 400
+    r, phi = np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n * 2 * math.pi, indexing="ij")
+    distance2 = 1 + (a * r * np.cos(phi)) ** 2 + (b * r * np.sin(phi)) ** 2
+    irradiance = (a * b * r / distance2**2).mean() * 2 * math.pi
+    expected = irradiance / math.pi / (math.pi * a * b if normalize else 1.0)
+    assert_radiance(plate(scenes.disk(place, 0.25, normalize=normalize)), expected, 2e-3, strategy=strategy)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3, 0.53, 10.0, 90.0, 180.0])
+def test_l06_normalized_distant_light_at_any_angle(angle: float) -> None:
+    """L06: normalized, its irradiance on a plate that faces it is the same at every angle."""
+    lamp = scenes.sun(scenes.rotate("x", -90), angle, normalize=True)
+    assert_radiance(plate(lamp), 1 / math.pi, 2e-3, spp=1024)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.53, 10.0, 90.0, 180.0])
+def test_l06_distant_light_by_its_radiance(angle: float) -> None:
+    sine2 = math.sin(math.radians(angle) / 2) ** 2
+    lamp = scenes.sun(scenes.rotate("x", -90), angle, scenes.times(WHITE, 1 / sine2))
+    assert_radiance(plate(lamp), 1.0, 2e-3, spp=1024)
+
+
+# --- domes ---
+
+
+def reconstructed_radiance(image: Array) -> float:
+    """Radiance of a white plate facing +Y under a lat-long image read bilinearly at pixel centres, by quadrature."""
+    height, width = image.shape[:2]
+    rows, columns = max(8 * height, 1024), max(8 * width, 2048)
+    v, u = (np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns
+    y, x = np.clip(v * height - 0.5, 0, height - 1), u * width - 0.5
+    y0, x0 = np.minimum(np.floor(y).astype(int), max(height - 2, 0)), np.floor(x).astype(int)
+    y1 = np.minimum(y0 + 1, height - 1)
+    fy, fx = (y - y0)[:, None], (x - x0)[None, :]
+    grey = image[..., 0]
+    low = grey[y0][:, x0 % width] * (1 - fx) + grey[y0][:, (x0 + 1) % width] * fx
+    high = grey[y1][:, x0 % width] * (1 - fx) + grey[y1][:, (x0 + 1) % width] * fx
+    values = low * (1 - fy) + high * fy
+    theta = v * math.pi
+    weight = np.where(theta < math.pi / 2, np.cos(theta) * np.sin(theta), 0.0)[:, None]
+    return float((values * weight).mean() * math.pi * 2 * math.pi / math.pi)
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light", "bsdf"])
+@pytest.mark.parametrize("image", [None, np.ones((16, 32, 3))], ids=["no image", "constant image"])
+def test_l07_constant_dome(image: Array | None, strategy: str) -> None:
+    """L07: radiance one from everywhere makes a white plate one."""
+    assert_radiance(plate(scenes.dome(image=image)), 1.0, 1e-5, strategy=strategy)
+
+
+def test_l07_almost_constant_dome() -> None:
+    image = np.ones((16, 32, 3))
+    image[4, 7] += 1e-3
+    assert_radiance(plate(scenes.dome(image=image)), reconstructed_radiance(image), 2e-4, spp=1024)
+
+
+@pytest.mark.parametrize("image", [None, np.zeros((16, 32, 3))], ids=["no image", "black image"])
+def test_l07_black_dome_is_left_out(image: Array | None) -> None:
+    black = scenes.dome((0.0, 0.0, 0.0) if image is None else WHITE, image)
+    assert (scenes.image(plate(black)) == 0.0).all()
+
+
+def pole_images() -> dict[str, Array]:
+    first_row, one_texel, one_row = np.zeros((32, 64, 3)), np.zeros((32, 64, 3)), np.zeros((1, 8, 3))
+    first_row[0], one_texel[0, 5], one_row[0, 2:5] = 100.0, 1000.0, 3.0
+    return {
+        "first row": first_row,
+        "one texel at the pole": one_texel,
+        "one row": one_row,
+        "one texel": np.full((1, 1, 3), 2.0),
+    }
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light"])
+@pytest.mark.parametrize("name", pole_images())
+def test_l08_light_at_the_pole(name: str, strategy: str) -> None:
+    """L08: Mitsuba renders the first row black."""
+    image = pole_images()[name]
+    assert_radiance(plate(scenes.dome(image=image)), reconstructed_radiance(image), 1e-2, strategy=strategy, spp=1024)
+
+
+def test_l08_looking_at_the_poles() -> None:
+    image = np.ones((8, 16, 3))
+    for target in ((0.0, 1.0, 1e-7), (0.0, -1.0, 1e-7)):
+        camera = Camera(scenes.look_at((0.0, 0.0, 0.0), target), focal_length=1e4)
+        assert (scenes.image(Stage(camera, (), (scenes.dome(image=image),))) == 1.0).all()
+
+
+@pytest.mark.parametrize("value", [1e2, 1e4, 1e6, 1e8])
+@pytest.mark.parametrize("sky", [0.0, 1.0])
+def test_l10_one_texel_sun(value: float, sky: float) -> None:
+    """L10: one texel of a 128 x 64 map against a dark and a bright sky."""
+    image = np.full((64, 128, 3), sky)
+    image[14, 40] = value
+    assert_radiance(plate(scenes.dome(image=image)), reconstructed_radiance(image), 5e-3, spp=1024)
+
+
+def test_dome_orientation() -> None:
+    """UsdLux: the centre column is +Z, a quarter to the left of it +X, the top row +Y; a rotation turns it."""
+    image = np.zeros((32, 64, 3))
+    image[12:20, 14:18] = 1.0  # u = 0.25: +X
+    looks = {"+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "+z": (0.0, 0.0, 1.0), "-z": (0.0, 0.0, -1.0)}
+
+    def brightness(look: str, turn: Array) -> float:
+        camera = Camera(scenes.look_at((0.0, 0.0, 0.0), looks[look]), focal_length=360.0)
+        return float(scenes.image(Stage(camera, (), (scenes.dome(image=image, transform=turn),))).mean())
+
+    assert {k: brightness(k, np.eye(4)) for k in looks} == {"+x": 1.0, "-x": 0.0, "+z": 0.0, "-z": 0.0}
+    turned = {k: round(brightness(k, scenes.rotate("y", 90)), 5) for k in looks}
+    assert turned == {"+x": 0.0, "-x": 0.0, "+z": 0.0, "-z": 1.0}
+
+
+# --- no light, no power, negative power ---
+
+
+NOTHING: dict[str, tuple[Light, ...]] = {
+    "no lights": (),
+    "black": (scenes.rect(scenes.translate(0.0, 1.0, 0.0), emission=(0.0, 0.0, 0.0)), scenes.dome((0.0, 0.0, 0.0))),
+    "no size": (
+        scenes.rect(scenes.translate(0.0, 1.0, 0.0), 0.0, 1.0),
+        scenes.disk(scenes.translate(0.0, 1.0, 0.0), 0.0),
+        scenes.bulb(scenes.translate(0.0, 1.0, 0.0), 0.0),
+        scenes.tube(scenes.translate(0.0, 1.0, 0.0), 0.0, 1.0),
+    ),
+    "no size, normalized": (
+        scenes.rect(scenes.translate(0.0, 1.0, 0.0), 0.0, 1.0, normalize=True),
+        scenes.bulb(scenes.translate(0.0, 1.0, 0.0), 0.0, normalize=True),
+    ),
+    "exposure -200": (scenes.bulb(scenes.translate(0.0, 1.0, 0.0), 0.25, scenes.times(WHITE, 2.0**-200)),),
+}
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_l14_no_light_is_exactly_black(name: str) -> None:
+    """L14: no division by a total of zero; each light that is left out says why."""
+    for strategy in ("mis", "light", "bsdf"):
+        assert (scenes.image(plate(*NOTHING[name]), strategy=strategy) == 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["no size", "no size, normalized"])
+def test_l14_reasons_are_given(name: str) -> None:
+    _, reasons = scenes.build(plate(*NOTHING[name]))
+    assert all(reasons.values()), reasons
+
+
+def test_l15_negative_light_cancels() -> None:
+    """L15: chosen by |power|, its sign kept."""
+    place = scenes.translate(0.0, 1.0, 0.0)
+    both = plate(
+        scenes.bulb(place, 0.25, (4.0, 4.0, 4.0)), scenes.sun(scenes.rotate("x", -90), 30.0, (-1.0, -1.0, -1.0))
+    )
+    # The ball shades a part of the cone: E = pi (4 r^2/h^2 - (sin^2 15 - r^2/h^2)).
+    shadow = 0.25**2
+    expected = 4 * 0.25**2 - (math.sin(math.radians(15)) ** 2 - shadow)
+    assert_radiance(both, expected, 2e-3, spp=1024)
+    coincident = plate(
+        scenes.sun(scenes.rotate("x", -90), 30.0), scenes.sun(scenes.rotate("x", -90), 30.0, (-1.0, -1.0, -1.0))
+    )
+    for strategy in ("mis", "light", "bsdf"):
+        mean, error = probe(coincident, strategy=strategy)
+        assert abs(mean) < 7.1 * error + 1e-7
