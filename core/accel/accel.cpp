@@ -1,6 +1,7 @@
 // Ray queries against the committed geometry, on Embree.
 #include "accel/accel.h"
 
+#include <bit>
 #include <algorithm>
 #include <atomic>
 #include <limits>
@@ -261,9 +262,9 @@ struct Accel::Impl {
             const GeometryEntry& entry = self->entry_of(instance_id, RTCHitN_geomID(args->hit, n, i));
             const std::uint32_t triangle = entry.first_triangle + RTCHitN_primID(args->hit, n, i);
             const float opacity = self->opacity_at(triangle, RTCHitN_u(args->hit, n, i), RTCHitN_v(args->hit, n, i));
-            const float shift = to_unit<float>(mix_bits(triangle * 0x9e3779b9U ^ mix_bits(instance_id)));
-            float u = context->opacity_u[RTCRayN_id(args->ray, n, i)] + shift;
-            if (u >= 1.0F) u -= 1.0F;
+            // A hash of both: with a number shifted per triangle, the layers that one ray crosses would not be independent.
+            const auto ray = std::bit_cast<std::uint32_t>(context->opacity_u[RTCRayN_id(args->ray, n, i)]);
+            const float u = to_unit<float>(mix_bits(ray ^ mix_bits(triangle * 0x9e3779b9U ^ mix_bits(instance_id))));
             if (u >= opacity) args->valid[i] = 0;
         }
     }

@@ -37,9 +37,9 @@ struct CylinderLight {
 
     // The visible line at angle psi.
     struct Line {
-        F h;                  // its distance from p, in the plane
-        F sin_begin, sin_end; // elevation of its ends
-        F sin_span;           // their difference, without cancellation
+        F h;                   // its distance from p, in the plane
+        F sin_begin, sin_end;  // elevation of its ends
+        F sin_span;            // their difference, without cancellation
     };
 
     static Line line(const LightRow<F>& row, const View& v, F sin_psi, F cos_psi) {
@@ -70,8 +70,8 @@ struct CylinderLight {
         const F planar = length(in_plane), inverse = F(1) / planar;
         const F sin_psi = dot(in_plane, v.across) * inverse, cos_psi = dot(in_plane, v.towards) * inverse;
         const LightHit<F> found = answer(row, v, line(row, v, sin_psi, cos_psi));
-        // Beyond the closest approach to the axis the ray has come in through an open end, and sees the dark inside. The
-        // margin is for rounding, at the rim, where near and far side meet.
+        // Beyond the closest approach to the axis the ray has come in through an open end, and sees the dark inside.
+        // The margin is for rounding, at the rim, where near and far side meet.
         const Mask<F> front = distance * planar <= v.distance * cos_psi * F(1 + 0x1p-18);
         return select_hit<F>(front, found, no_light_hit<F>());
     }

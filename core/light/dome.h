@@ -11,10 +11,11 @@ namespace footlight {
 
 // The image of a dome, and what is drawn from it.
 //
-// Orientation (UsdLux DomeLight, OpenEXR): +Y of the light is the top row, +Z the centre column, +X a quarter left of it.
-// Radiance is the bilinear interpolation of texels in u and v; it wraps in u and stays constant beyond the first and last
-// row of texel centres. The density is interpolated from the same texels in u and in cos(theta), so it is positive
-// wherever radiance can be, integrates to 1 exactly, and no sine of a polar angle ever divides anything.
+// Orientation (UsdLux DomeLight, OpenEXR): +Y of the light is the top row, +Z the centre column, +X a quarter left of
+// it. Radiance is the bilinear interpolation of texels in u and v; it wraps in u and stays constant beyond the first
+// and last row of texel centres. The density is interpolated from the same texels in u and in cos(theta), so it is
+// positive wherever radiance can be (of a compensated dome: wherever it can exceed the mean), integrates to 1 exactly,
+// and no sine of a polar angle ever divides anything.
 struct DomeImage {
     std::uint32_t width = 0, height = 0;
     std::vector<float> texels;   // (height, width, 4): radiance r, g, b and density [1/sr]
@@ -23,7 +24,8 @@ struct DomeImage {
     Distribution2D table;
 };
 
-// A row's share of the sphere, for sampling. Heights are 1 - cos from the pole that is nearer, so none loses its digits.
+// A row's share of the sphere, for sampling. Heights are 1 - cos from the pole that is nearer, so none loses its
+// digits.
 enum RowColumn : std::uint32_t { row_height, row_sign, row_up, row_down, row_split, row_columns };
 // row_height  of the row's centre, from the nearer pole
 // row_sign    1 if that is the top pole, -1 if the bottom
@@ -40,7 +42,7 @@ struct DomeLight {
 
     // A dome of one colour needs no table: every direction is as good.
     static LightSample<F> sample(const LightRow<F>& row, Vec3<F> /*p*/, F u0, F u1) {
-        return {uniform_sphere(u0, u1),  infinity<F>(), row.radiance, row.density, row.density > F(0), Mask<F>(false)};
+        return {uniform_sphere(u0, u1), infinity<F>(), row.radiance, row.density, row.density > F(0), Mask<F>(false)};
     }
     static LightHit<F> escape(const LightRow<F>& row, Vec3<F> /*wi*/) {
         return hit_where(row.density > F(0), row.radiance, row.density);
@@ -53,9 +55,10 @@ struct DomeLight {
         const F s = (F(0.5) - atan2(dx, dz) * F(0.5 / kPi)) * width - F(0.5);
         const F t = atan2(sine, dy) * F(1 / kPi) * height - F(0.5);
         const F left = floor(s), top = floor(t);
-        const F x0 = select(left < F(0), width - F(1), left), right = left + F(1);
-        const F x1 = select(right >= width, F(0), right);
-        const F y0 = clamp(top, F(0), height - F(1)), y1 = clamp(top + F(1), F(0), height - F(1));
+        // comparisons that a direction which is not a number fails: its lookup is wrong, but inside the image
+        const F right = left + F(1), below = top + F(1);
+        const F x0 = select(left >= F(0), left, width - F(1)), x1 = select(right < width, right, F(0));
+        const F y0 = select(top >= F(0), top, F(0)), y1 = select(below < height, below, height - F(1));
 
         const F from_pole = sine * sine / (F(1) + abs(dy));  // 1 - cos
         const F half = select(dy >= F(0), F(0), height);
@@ -70,8 +73,9 @@ struct DomeLight {
         const auto add = [&](UInt<F> texel, F radiance_weight, F density_weight) {
             const UInt<F> at = texel << 2;
             const float* data = image.texels.data();
-            found.radiance = found.radiance + Rgb<F>{gather<F>(data, at), gather<F>(data + 1, at), gather<F>(data + 2, at)} *
-                                                  radiance_weight;
+            found.radiance =
+                found.radiance +
+                Rgb<F>{gather<F>(data, at), gather<F>(data + 1, at), gather<F>(data + 2, at)} * radiance_weight;
             found.pdf = fma(gather<F>(data + 3, at), density_weight, found.pdf);
         };
         add(row0 + column0, (F(1) - fx) * (F(1) - fy), (F(1) - fx) * (F(1) - down));
@@ -88,7 +92,8 @@ struct DomeLight {
         const auto column = [&](RowColumn c) { return gather<F>(image.rows.data() + c, at); };
         const F y = to_number<F>(texel.row), split = column(row_split);
         const Mask<F> above = texel.v < split;
-        const F v = select(above, texel.v / max(split, F(0x1p-100F)), (texel.v - split) / max(F(1) - split, F(0x1p-100F)));
+        const F v =
+            select(above, texel.v / max(split, F(0x1p-100F)), (texel.v - split) / max(F(1) - split, F(0x1p-100F)));
         // beyond the outermost centres the share is constant, elsewhere it falls off linearly
         const F up = select(y == F(0), F(1) - v, F(1) - sqrt(v));
         const F down = select(y == F(static_cast<float>(image.height - 1)), v, F(1) - sqrt(F(1) - v));

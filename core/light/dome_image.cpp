@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 
-
 namespace footlight {
 namespace {
 
@@ -111,11 +110,12 @@ PreparedDome prepare_dome(const float* texels, std::uint32_t width, std::uint32_
         dome.image = {};
         return dome;
     }
-    for (std::size_t i = 0; i < count; ++i) {
-        const double excess = std::max(weights[i] - dome.magnitude * shares[i / width] / (2.0 * width), 0.0);
-        dome.excess += excess;
-        if (compensate) weights[i] = excess;
-    }
+    const auto excess = [&](std::size_t i) {
+        return std::max(weights[i] - dome.magnitude * shares[i / width] / (2.0 * width), 0.0);
+    };
+    for (std::size_t i = 0; i < count; ++i) dome.excess += excess(i);
+    if (compensate && dome.excess > 0)  // rounding can leave nothing of an image of nearly one colour
+        for (std::size_t i = 0; i < count; ++i) weights[i] = excess(i);
     image.table = Distribution2D(weights, width, height);
     for (std::size_t i = 0; i < count; ++i) {
         const auto x = static_cast<std::uint32_t>(i % width), y = static_cast<std::uint32_t>(i / width);

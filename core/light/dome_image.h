@@ -10,12 +10,12 @@
 namespace footlight {
 
 struct PreparedDome {
-    std::array<double, 3> mean;      // radiance over the sphere
-    double magnitude;                // mean over the sphere of the mean of |channels|
-    double excess;                   // mean over the sphere of what exceeds `magnitude`
-    bool is_constant;                // all texels alike: `mean` says it all, image stays empty
+    std::array<double, 3> mean;  // radiance over the sphere
+    double magnitude;            // mean over the sphere of the mean of |channels|
+    double excess;               // mean over the sphere of what exceeds `magnitude`
+    bool is_constant;            // all texels alike: `mean` says it all, image stays empty
     DomeImage image;
-    std::string note;                // how many texels were repaired; empty if none
+    std::string note;  // how many texels were repaired; empty if none
 };
 
 // texels (height, width, 3), multiplied by emission. NaN becomes 0, +Inf the largest half-precision number, -Inf 0;

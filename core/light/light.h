@@ -38,7 +38,8 @@ inline void for_each_light_type(std::uint32_t kinds, Visit visit) {
     };
     [&]<std::size_t... I>(std::index_sequence<I...>) {
         (visit_one.template operator()<std::tuple_element_t<I, LightTypes<F>>>(), ...);
-    }(std::make_index_sequence<std::tuple_size_v<LightTypes<F>>>());
+    }
+    (std::make_index_sequence<std::tuple_size_v<LightTypes<F>>>());
 }
 
 // --- choice ---
@@ -71,7 +72,9 @@ inline bool same_in_all_lanes(xsimd::batch<std::uint32_t, A> index) {
 }
 inline std::uint32_t first_lane(std::uint32_t index) { return index; }
 template <class A>
-inline std::uint32_t first_lane(xsimd::batch<std::uint32_t, A> index) { return index.get(0); }
+inline std::uint32_t first_lane(xsimd::batch<std::uint32_t, A> index) {
+    return index.get(0);
+}
 
 // --- sampling towards a light ---
 // One light for all lanes: its row is broadcast, and only its own code runs.
@@ -80,9 +83,8 @@ inline LightSample<F> sample_one_light(const LightTable& table, std::uint32_t li
     for (const LightTable::Dome& dome : table.domes)
         if (dome.light == light) return DomeLight<F>::sample(dome.image, broadcast_row<F>(table, light), u0, u1);
     LightSample<F> result = no_light_sample<F>();
-    for_each_light_type<F>(1U << static_cast<std::uint32_t>(table.info[light].kind), [&]<class Light>() {
-        result = Light::sample(broadcast_row<F>(table, light), p, u0, u1);
-    });
+    for_each_light_type<F>(1U << static_cast<std::uint32_t>(table.info[light].kind),
+                           [&]<class Light>() { result = Light::sample(broadcast_row<F>(table, light), p, u0, u1); });
     return result;
 }
 

@@ -42,26 +42,38 @@ inline constexpr std::uint32_t kLightColumns = 20;
 template <class F, class Read>
 inline LightRow<F> read_light_row(Read column) {
     const auto vector = [&](std::uint32_t i) { return Vec3<F>{column(i), column(i + 1), column(i + 2)}; };
-    return {vector(0),  vector(3),  vector(6),  vector(9),
-            column(12), column(13), column(14), column(15), {column(16), column(17), column(18)}, column(19)};
+    return {vector(0),  vector(3),  vector(6),
+            vector(9),  column(12), column(13),
+            column(14), column(15), {column(16), column(17), column(18)},
+            column(19)};
 }
 
 inline bool both(bool a, bool b) { return a && b; }
 template <class A>
-inline xsimd::batch_bool<float, A> both(xsimd::batch_bool<float, A> a, xsimd::batch_bool<float, A> b) { return a & b; }
+inline xsimd::batch_bool<float, A> both(xsimd::batch_bool<float, A> a, xsimd::batch_bool<float, A> b) {
+    return a & b;
+}
 
 inline bool either(bool a, bool b) { return a || b; }
 template <class A>
-inline xsimd::batch_bool<float, A> either(xsimd::batch_bool<float, A> a, xsimd::batch_bool<float, A> b) { return a | b; }
+inline xsimd::batch_bool<float, A> either(xsimd::batch_bool<float, A> a, xsimd::batch_bool<float, A> b) {
+    return a | b;
+}
 
 template <class F>
-inline constexpr F infinity() { return F(std::numeric_limits<float>::infinity()); }
+inline constexpr F infinity() {
+    return F(std::numeric_limits<float>::infinity());
+}
 
 template <class F>
 inline LightSample<F> select_sample(Mask<F> mask, const LightSample<F>& a, const LightSample<F>& b) {
     const auto merge = [&](Mask<F> x, Mask<F> y) { return either(both(mask, x), both(!mask, y)); };
-    return {select(mask, a.wi, b.wi),   select(mask, a.distance, b.distance), select(mask, a.radiance, b.radiance),
-            select(mask, a.pdf, b.pdf), merge(a.valid, b.valid),              merge(a.is_delta, b.is_delta)};
+    return {select(mask, a.wi, b.wi),
+            select(mask, a.distance, b.distance),
+            select(mask, a.radiance, b.radiance),
+            select(mask, a.pdf, b.pdf),
+            merge(a.valid, b.valid),
+            merge(a.is_delta, b.is_delta)};
 }
 
 template <class F>
@@ -74,7 +86,9 @@ inline LightSample<F> no_light_sample() {
     return {{F(0), F(0), F(1)}, F(0), gray(F(0)), F(0), Mask<F>(false), Mask<F>(false)};
 }
 template <class F>
-inline LightHit<F> no_light_hit() { return {gray(F(0)), F(0)}; }
+inline LightHit<F> no_light_hit() {
+    return {gray(F(0)), F(0)};
+}
 
 // A hit counts only where the light is bright and its density a number.
 template <class F>

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 
-#include "light/dome_image.h"
 #include "light/distant.h"
+#include "light/dome_image.h"
 #include "light/rect.h"
 #include "math/frame.h"
 
@@ -69,7 +69,8 @@ void add_row(LightTable& table, LightKind kind, const Row& row, const LightDesc&
 // The common end of all lights with a surface. area in render space; sides: solid angle of emission over pi.
 std::string add_area_light(LightTable& table, LightKind kind, Row row, const LightDesc& desc, double area,
                            std::string note) {
-    if (!is_usable(area) || !is_usable(1 / area)) return area > 0 ? "its area is too small or too large for float" : "its area is zero";
+    if (!is_usable(area) || !is_usable(1 / area))
+        return area > 0 ? "its area is too small or too large for float" : "its area is zero";
     row.radiance = desc.normalize ? scaled(desc.emission, 1 / area) : desc.emission;
     if (std::string reason = refuse_radiance(row.radiance); !reason.empty()) return reason;
     add_row(table, kind, row, desc, magnitude(row.radiance) * area * kPi, std::move(note));
@@ -181,7 +182,12 @@ std::string append_dome(LightTable& table, const DomeLightDesc& desc) {
     r.v = unit(row(m, 1));
     r.u = unit(row(m, 0) - r.v * dot(row(m, 0), r.v));
     r.n = cross(r.u, r.v) * (determinant(m) < 0 ? -1.0 : 1.0);
-    PreparedDome dome{.mean = desc.emission, .magnitude = magnitude(desc.emission), .excess = 0, .is_constant = true, .image = {}, .note = ""};
+    PreparedDome dome{.mean = desc.emission,
+                      .magnitude = magnitude(desc.emission),
+                      .excess = 0,
+                      .is_constant = true,
+                      .image = {},
+                      .note = ""};
     if (desc.image != nullptr) {
         if (desc.width == 0 || desc.height == 0) return "its image is empty";
         if (desc.width > kMaxRowEntries || desc.height > kMaxRowEntries ||
@@ -189,7 +195,8 @@ std::string append_dome(LightTable& table, const DomeLightDesc& desc) {
             return "its image has more than 2^29 texels, or more than 2^20 in one direction";
         dome = prepare_dome(desc.image, desc.width, desc.height, desc.emission, desc.compensate);
     }
-    if (!is_usable(dome.magnitude)) return dome.magnitude > 0 ? "its radiance is out of the range of float" : "its image is black";
+    if (!is_usable(dome.magnitude))
+        return dome.magnitude > 0 ? "its radiance is out of the range of float" : "its image is black";
     if (dome.is_constant) {
         r.density = 1 / (4 * kPi);
         r.radiance = dome.mean;
@@ -213,8 +220,8 @@ void finalize(LightTable& table, double scene_radius) {
         sampled += info.sampled ? 1 : 0;
     }
     if (sampled == 0) return;
-    // A fifth of the choices is spread evenly: power says nothing of distance, and a faint light close to a surface must
-    // not depend on one sample in a million. It costs the brightest light at most a fifth of its samples.
+    // A fifth of the choices is spread evenly: power says nothing of distance, and a faint light close to a surface
+    // must not depend on one sample in a million. It costs the brightest light at most a fifth of its samples.
     std::vector<double> weights;
     for (const LightInfo& info : table.info)
         weights.push_back(info.sampled ? 0.8 * info.power / total + 0.2 / static_cast<double>(sampled) : 0.0);
@@ -223,27 +230,32 @@ void finalize(LightTable& table, double scene_radius) {
 
 LightBounds light_bounds(const LightTable& table, std::uint32_t light) {
     const LightRow<double> r = broadcast_row<double>(table, light);
-    const auto reach = [&](double u, double v, double n) -> double {  // along one axis, given the components of u, v, n
+    const auto reach = [&](double u, double v) -> double {  // along one axis, given the components of u and v
         switch (table.info[light].kind) {
-            case LightKind::rect: return std::abs(u) * r.size_u + std::abs(v) * r.size_v;
-            case LightKind::disk: return std::sqrt(u * u * r.size_u * r.size_u + v * v * r.size_v * r.size_v);
-            case LightKind::sphere: return r.size_u;
-            case LightKind::cylinder: return std::abs(u) * r.size_v + r.size_u * std::sqrt(std::max(0.0, 1 - u * u));
+            case LightKind::rect:
+                return std::abs(u) * r.size_u + std::abs(v) * r.size_v;
+            case LightKind::disk:
+                return std::sqrt(u * u * r.size_u * r.size_u + v * v * r.size_v * r.size_v);
+            case LightKind::sphere:
+                return r.size_u;
+            case LightKind::cylinder:
+                return std::abs(u) * r.size_v + r.size_u * std::sqrt(std::max(0.0, 1 - u * u));
             case LightKind::distant:
-            case LightKind::dome: break;
+            case LightKind::dome:
+                break;
         }
-        static_cast<void>(n);
         return std::numeric_limits<double>::infinity();
     };
     // wider by the error of the float arithmetic that will look for the surface
-    const double scale = std::max({std::abs(r.center.x), std::abs(r.center.y), std::abs(r.center.z), r.size_u, r.size_v});
+    const double scale =
+        std::max({std::abs(r.center.x), std::abs(r.center.y), std::abs(r.center.z), r.size_u, r.size_v});
     const auto range = [&](double center, double half) {
         const double pad = scale * 0x1p-20;
         return std::pair{static_cast<float>(center - half - pad), static_cast<float>(center + half + pad)};
     };
-    const auto [x0, x1] = range(r.center.x, reach(r.u.x, r.v.x, r.n.x));
-    const auto [y0, y1] = range(r.center.y, reach(r.u.y, r.v.y, r.n.y));
-    const auto [z0, z1] = range(r.center.z, reach(r.u.z, r.v.z, r.n.z));
+    const auto [x0, x1] = range(r.center.x, reach(r.u.x, r.v.x));
+    const auto [y0, y1] = range(r.center.y, reach(r.u.y, r.v.y));
+    const auto [z0, z1] = range(r.center.z, reach(r.u.z, r.v.z));
     return {{x0, y0, z0}, {x1, y1, z1}};
 }
 

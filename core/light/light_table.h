@@ -16,8 +16,8 @@ namespace footlight {
 
 // What is common to all lights. emission: intensity * 2^exposure * colour * blackbody, may be negative.
 struct LightDesc {
-    std::string path;    // of the prim
-    Matrix4 transform;   // light to render space (relative to the render origin)
+    std::string path;   // of the prim
+    Matrix4 transform;  // light to render space (relative to the render origin)
     std::array<double, 3> emission{1, 1, 1};
     bool normalize = false;  // divide by the size, as UsdLux defines it
     bool visible_to_camera = true;
@@ -59,7 +59,7 @@ struct LightTable {
     std::vector<float> rows;  // (lights, kLightColumns), see LightRow
     std::vector<LightInfo> info;
     std::vector<std::uint32_t> finite, infinite;  // indices of lights
-    std::uint32_t kinds = 0;  // bit mask of the LightKinds present
+    std::uint32_t kinds = 0;                      // bit mask of the LightKinds present
     struct Dome {
         std::uint32_t light;
         DomeImage image;

@@ -12,17 +12,17 @@ template <class F>
 struct RectLight {
     static constexpr LightKind kind = LightKind::rect;
     static constexpr bool is_infinite = false;
-    // Below this solid angle its error (about 4e-7 sr, from differences of angles in float) is no longer negligible, and
-    // uniform sampling of the area is as good. [sr], measured
+    // Below this solid angle its error (about 4e-7 sr, from differences of angles in float) is no longer negligible,
+    // and uniform sampling of the area is as good. [sr], measured
     static constexpr double kSolidAngleLimit = 3e-3;
 
     // The rectangle in the frame of its axes, with the foot of p as the origin.
     struct View {
         Vec3<F> to_center;
-        F x, y;        // the centre
-        F z;           // height of p above the plane, positive on the side that emits
+        F x, y;  // the centre
+        F z;     // height of p above the plane, positive on the side that emits
         F x0, x1, y0, y1;
-        F begin;       // solid angle up to x0, in the sense of `corner_pair`
+        F begin;  // solid angle up to x0, in the sense of `corner_pair`
         F solid_angle;
     };
 

@@ -1,8 +1,10 @@
 // What a stage calls for, in plain structs: the checks that keep bad data out.
 #include "scene/scene.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <stdexcept>
 
 namespace footlight {
@@ -136,8 +138,15 @@ std::string Scene::add_light(AnyLight light) {
     if (!is_finite(desc.transform)) refuse(desc.path, "the light's transform is not finite");
     for (const double e : desc.emission)
         if (!std::isfinite(e)) refuse(desc.path, "the light's emission is not finite");
+    // The table of a dome's image is built once, at commit: here the image only has to hold some light.
+    AnyLight checked = light;
+    if (auto* dome = std::get_if<DomeLightDesc>(&checked); dome != nullptr && dome->image != nullptr) {
+        const std::span texels(dome->image, std::size_t{3} * dome->width * dome->height);
+        if (std::none_of(texels.begin(), texels.end(), [](float t) { return std::abs(t) > 0; })) return "its image is black";
+        dome->image = nullptr;
+    }
     LightTable scratch;
-    std::string reason = append(scratch, light);
+    std::string reason = append(scratch, checked);
     if (reason.empty()) lights_.push_back(std::move(light));
     return reason;
 }

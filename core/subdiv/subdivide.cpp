@@ -20,7 +20,7 @@ namespace {
 namespace Far = OpenSubdiv::Far;
 namespace Sdc = OpenSubdiv::Sdc;
 
-constexpr int kMaxLevel = 10;              // OpenSubdiv's own limit (4 bits, less the limit masks)
+constexpr int kMaxLevel = 10;                // OpenSubdiv's own limit (4 bits, less the limit masks)
 constexpr std::int32_t kMaxValence = 65535;  // Vtr counts corners and neighbours in 16 bits
 
 // Weights and sums in double, so that a plane stays a plane after rounding to float.
@@ -253,13 +253,19 @@ std::vector<Value<N>> interpolate(const Far::TopologyRefiner& topology, const Su
     std::vector<Value<N>> values = widen<N>(primvar.values);
     for (int level = 1; level <= topology.GetMaxLevel(); ++level) {
         const Far::TopologyLevel& fine = topology.GetLevel(level);
-        const int count = primvar.kind == PrimvarKind::face_varying ? fine.GetNumFVarValues(channel)
-                                                                    : fine.GetNumVertices();
+        const int count =
+            primvar.kind == PrimvarKind::face_varying ? fine.GetNumFVarValues(channel) : fine.GetNumVertices();
         std::vector<Value<N>> next(static_cast<std::size_t>(count));
         switch (primvar.kind) {
-            case PrimvarKind::vertex: refiner.Interpolate(level, values, next); break;
-            case PrimvarKind::varying: refiner.InterpolateVarying(level, values, next); break;
-            case PrimvarKind::face_varying: refiner.InterpolateFaceVarying(level, values, next, channel); break;
+            case PrimvarKind::vertex:
+                refiner.Interpolate(level, values, next);
+                break;
+            case PrimvarKind::varying:
+                refiner.InterpolateVarying(level, values, next);
+                break;
+            case PrimvarKind::face_varying:
+                refiner.InterpolateFaceVarying(level, values, next, channel);
+                break;
         }
         values = std::move(next);
     }
@@ -283,10 +289,14 @@ std::vector<float> limit_values(const Far::TopologyRefiner& topology, const Subd
 
 std::vector<float> limit_values(const Far::TopologyRefiner& topology, const SubdivPrimvar& primvar, int channel) {
     switch (primvar.width) {
-        case 1: return limit_values<1>(topology, primvar, channel);
-        case 2: return limit_values<2>(topology, primvar, channel);
-        case 3: return limit_values<3>(topology, primvar, channel);
-        default: return limit_values<4>(topology, primvar, channel);
+        case 1:
+            return limit_values<1>(topology, primvar, channel);
+        case 2:
+            return limit_values<2>(topology, primvar, channel);
+        case 3:
+            return limit_values<3>(topology, primvar, channel);
+        default:
+            return limit_values<4>(topology, primvar, channel);
     }
 }
 
@@ -327,7 +337,7 @@ std::vector<std::uint32_t> cage_faces(const Far::TopologyRefiner& topology) {
 // last level, the surface has no one normal, and each smooth sector between sharp edges gets the mean of its faces'
 // normals weighted by their angle at the point.
 class Normals {
-public:
+  public:
     Normals(const Far::TopologyLevel& level, const std::vector<Vec>& points) : level_(level), points_(points) {}
 
     void run(const std::vector<Vec>& tangents_u, const std::vector<Vec>& tangents_v) {
@@ -355,16 +365,15 @@ public:
         return corner_normals_[first_corner_[static_cast<std::size_t>(face)] + static_cast<std::size_t>(k)];
     }
 
-private:
+  private:
     bool is_sharp(Far::Index edge) const {
         return level_.GetEdgeFaces(edge).size() != 2 || level_.GetEdgeSharpness(edge) > 0.0F;
     }
 
     bool has_sharp_edge(Far::Index v) const {
         const Far::ConstIndexArray edges = level_.GetVertexEdges(v);
-        const bool inner = std::any_of(edges.begin(), edges.end(), [&](Far::Index e) {
-            return !level_.IsEdgeBoundary(e) && is_sharp(e);
-        });
+        const bool inner = std::any_of(edges.begin(), edges.end(),
+                                       [&](Far::Index e) { return !level_.IsEdgeBoundary(e) && is_sharp(e); });
         const bool cone = !level_.IsVertexBoundary(v) && level_.GetVertexSharpness(v) > 0.0F;
         return inner || cone || level_.IsVertexNonManifold(v);
     }
@@ -469,7 +478,8 @@ void set_surface(const Far::TopologyRefiner& topology, const SubdivCage& cage, S
     mesh.normals = narrow<3>(normals.values());
     append_triangles(
         level, [&](int f, int k) { return static_cast<std::uint32_t>(level.GetFaceVertices(f)[k]); }, mesh.triangles);
-    append_triangles(level, [&](int f, int k) { return normals.of_corner(f, k); }, mesh.normal_indices);
+    append_triangles(
+        level, [&](int f, int k) { return normals.of_corner(f, k); }, mesh.normal_indices);
 }
 
 }  // namespace

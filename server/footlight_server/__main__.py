@@ -80,8 +80,8 @@ async def serve(address: str, settings: Settings) -> None:
     sessions = Sessions(settings)
     server = GrpcServer(sessions, settings)
     try:
-        bound = await server.start(address)
         sessions.warm_up()
+        bound = await server.start(address)
         print(f"listening on {bound}", flush=True)  # noqa: T201 - the line that whoever started us reads
         await stop.wait()
     finally:

@@ -84,6 +84,40 @@ def test_g17_lights_under_negative_scales(signs: tuple[int, int, int], kind: str
     assert (a.mean() > 1e-3) == (signs[2] > 0)
 
 
+def turned(colour: scenes.Colour) -> scenes.Colour:
+    return (colour[1], colour[2], colour[0])
+
+
+@every_scene
+def test_mt5_permuted_channels(make: Callable[[], Stage]) -> None:
+    """MT5: red, green and blue are treated alike."""
+    stage = make()
+    meshes = tuple(
+        replace(
+            mesh,
+            material=replace(
+                mesh.material,
+                diffuse_color=turned(mesh.material.diffuse_color),
+                emissive_color=turned(mesh.material.emissive_color),
+            ),
+            colors=None if mesh.colors is None else np.ascontiguousarray(mesh.colors[:, [1, 2, 0]]),
+        )
+        for mesh in stage.meshes
+    )
+    lights = tuple(
+        replace(
+            light,
+            emission=turned(light.emission),
+            image=None if light.image is None else np.ascontiguousarray(light.image[..., [1, 2, 0]]),
+        )
+        for light in stage.lights
+    )
+    plain = scenes.replicates(stage, COUNT, seed=1, spp=32, **SIZE)
+    permuted = scenes.replicates(replace(stage, meshes=meshes, lights=lights), COUNT, seed=100, spp=32, **SIZE)
+    assert_same_mean(plain[..., [1, 2, 0]], permuted, "permuted")
+    assert statistics.compare(statistics.of_replicates(plain), statistics.of_replicates(permuted)).differ
+
+
 @every_scene
 def test_mt6_light_adds_up(make: Callable[[], Stage]) -> None:
     """MT6: the image under all lights is the sum of the images under each."""

@@ -3,9 +3,15 @@
 Each exact comparison stands beside one that must fail, so that the comparison itself is shown to see.
 """
 
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -109,6 +115,64 @@ def test_mt9_threads_tiles_and_their_order(make: Callable[[], Stage]) -> None:
     ):
         for aov, pixels in rendered(threads, ranges).items():
             assert_same_bits(expected[aov], pixels, f"{aov}, {threads} threads, tiles {ranges}")
+
+
+def crowd(instanced: bool) -> Stage:
+    """Two hundred thousand triangles and more when flattened: the renderer sorts its rays."""
+    ball = scenes.icosphere(scenes.Material((0.6, 0.4, 0.3)), 5)
+    places = [
+        scenes.chain(
+            scenes.scale(0.25), scenes.rotate("y", 11.0 * k), scenes.translate(k % 4 - 1.5, 0.25, k // 4 - 1.5)
+        )
+        for k in range(12)
+    ]
+    floor = scenes.quad((-4, 0, 4), (8, 0, 0), (0, 0, -8), scenes.Material((0.4, 0.4, 0.4)))
+    stage = replace(scenes.orchard(), meshes=(replace(ball, transforms=np.stack(places)), floor))
+    return stage if instanced else scenes.flattened(stage)
+
+
+def test_mt9_mt10_large_scenes_with_sorted_rays() -> None:
+    """The same laws where batches are large and rays are sorted; and sorting does not change what they find."""
+    options = {"width": 130, "height": 70}
+    lean = scenes.renderer(crowd(instanced=False), **options)
+    assert "sort" in lean.pipeline
+    assert lean.render(0, 8, 0, lean.tiles)
+    for threads, order in ((1, [5, 3, 1, 0, 2, 4]), (3, [0, 1, 2, 3, 4, 5])):
+        other = scenes.renderer(crowd(instanced=False), threads=threads, **options)
+        for tile in order:
+            assert other.render(3, 8, tile, tile + 1)
+        assert other.render(0, 3, 0, other.tiles)
+        assert_same_bits(lean.read("color"), other.read("color"), f"{threads} threads, tiles {order}")
+    unsorted = scenes.renderer(crowd(instanced=True), **options)
+    assert "sort" not in unsorted.pipeline
+    assert unsorted.render(0, 8, 0, unsorted.tiles)
+    difference = np.abs(unsorted.read("color") - lean.read("color"))
+    assert np.median(difference) < 1e-5
+
+
+@pytest.mark.parametrize("level", ["v2", "v3", "v4"])
+def test_mt9_instruction_sets_agree(level: str) -> None:
+    """MT9: every build of the core that this machine runs makes the picture of the others, up to rounding."""
+    names = ("room", "gallery", "sky")
+    program = (
+        "import sys, numpy, footlight_core\nfrom tests.laws import scenes\n"
+        "assert footlight_core.instruction_set.endswith(sys.argv[1])\n"
+        "numpy.save(sys.argv[2], numpy.stack([scenes.image(scenes.SUITE[n](), spp=64) for n in sys.argv[3:]]))"
+    )
+    if importlib.util.find_spec(f"footlight_core._core_{level}") is None:
+        pytest.skip(f"the core is not built for {level}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "images.npy"
+        environment = os.environ | {"FOOTLIGHT_INSTRUCTION_SET": level, "PYTHONPATH": os.pathsep.join([".", *sys.path])}
+        command = [sys.executable, "-c", program, level, str(path), *names]
+        result = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
+        if "no build of footlight_core runs" in result.stderr:
+            pytest.skip(f"this processor does not run {level}")
+        assert result.returncode == 0, result.stderr
+        images = np.load(path)
+    here = np.stack([scenes.image(SUITE[n](), spp=64) for n in names])
+    assert np.median(np.abs(images - here) / (here + 1e-3)) < 1e-5
+    assert np.abs(images.mean((1, 2, 3)) / here.mean((1, 2, 3)) - 1).max() < 0.01
 
 
 def test_mt9_control_another_seed_moves_bits() -> None:

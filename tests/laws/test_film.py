@@ -88,3 +88,15 @@ def test_cancelled_render_says_so() -> None:
     renderer = scenes.renderer(scenes.room(), width=256, height=256)
     renderer.cancel()
     assert renderer.render(0, 1_000_000, 0, renderer.tiles) is False
+
+
+def test_f11_foreign_states_are_refused() -> None:
+    """F11: bytes of another film, of no film, or of a part of one are refused and leave the film as it was."""
+    here = scenes.run(scenes.room(), spp=4, width=32, height=32)
+    before = here.read("color").copy()
+    other = scenes.run(scenes.room(), spp=4, width=16, height=32)
+    state: bytes = here.state()
+    for wrong in (other.state(), b"", b"no film", state[:-1], state[: len(state) // 2], state + b"x"):
+        with pytest.raises(ValueError, match="film|state"):
+            here.merge(wrong)
+        assert np.array_equal(before, here.read("color"))

@@ -57,6 +57,17 @@ def test_g03_control_a_body_that_does_hit_itself_is_darker() -> None:
     assert pixels[12:20, 12:20].mean() < 0.45
 
 
+@pytest.mark.parametrize("distance", [1e4, 1e8])
+def test_g02_a_scene_far_away_is_the_same_scene(distance: float) -> None:
+    """G02: under a translation of 1e8 with the camera beside it; not dyadic, so within rounding."""
+    here = scenes.image(scenes.gallery(), spp=16)
+    there = scenes.image(
+        scenes.moved(scenes.gallery(), scenes.translate(distance, -0.7 * distance, 0.3 * distance)), spp=16
+    )
+    assert np.median(np.abs(here - there)) < 1e-6
+    assert abs(there.mean() / here.mean() - 1) < 0.01
+
+
 # --- leaks ---
 
 
@@ -219,6 +230,19 @@ def test_g12_tilted_normals_let_no_light_through(strategy: str, material: Materi
     outside = Stage(facing(4.0, 1.0), (room,), (scenes.dome(),))
     means = [scenes.image(outside, strategy=strategy, spp=32, seed=s)[10:22, 10:22].mean() for s in range(8)]
     assert np.mean(means) <= 1 + 1e-3 + 5.2 * np.std(means, ddof=1) / math.sqrt(8)
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light", "bsdf"])
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 60.0])
+def test_g12_tilted_normal_in_closed_form(degrees: float, strategy: str) -> None:
+    """G12: of the cosine lobe about a normal tilted by t, the part (1 + cos t) / 2 lies above the face."""
+    tilt = math.radians(degrees)
+    plate = scenes.quad((-1, -1, 0), (2, 0, 0), (0, 2, 0), Material(WHITE))
+    tilted = replace(plate, normals=np.tile(np.array([math.sin(tilt), 0, math.cos(tilt)], np.float32), (4, 1)))
+    camera = Camera(scenes.translate(0.0, 0.0, 4.0), focal_length=360.0)
+    stage = Stage(camera, (tilted,), (scenes.dome(),))
+    means = [scenes.image(stage, strategy=strategy, spp=64, seed=s).mean() for s in range(8)]
+    assert abs(np.mean(means) - (1 + math.cos(tilt)) / 2) < 7.1 * np.std(means, ddof=1) / math.sqrt(8) + 1e-5
 
 
 def test_g13_normals_that_vanish_are_the_face() -> None:

@@ -86,6 +86,11 @@ class Session:
         return self._state.phase.ended
 
     @property
+    def has_image(self) -> bool:
+        """There is a result to fetch."""
+        return self._state.has_image
+
+    @property
     def render(self) -> render_pb2.Render:
         """The render as it is now; a copy."""
         copy = render_pb2.Render()
@@ -171,7 +176,7 @@ class Session:
                 self._apply(DeadlinePassed())
                 continue
             self._hear(event, worker)
-            if event.HasField("tiles") or event.HasField("opened"):
+            if event.HasField("progress"):  # not earlier: the first tiles need the processor more
                 pool.prepare_spare()
 
     def _loop_time(self, deadline: float | None) -> float | None:

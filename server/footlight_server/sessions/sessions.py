@@ -166,6 +166,8 @@ class Sessions:
             self._pool.prepare()
         if session.name not in self._sessions:
             return
+        if not session.has_image:
+            session.forget_pixels()
         self._ended.append(session.name)
         while len(self._ended) > REMEMBERED:
             self._forget(self._sessions.pop(self._ended.popleft()))

@@ -53,7 +53,7 @@ def open_stage(path: Path, *, roots: Sequence[Path] = (), limits: OpenLimits | N
     try:
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
     except Tf.ErrorException as error:
-        raise StageMalformedError(f"{path}: {_reason(error)}") from None
+        raise StageMalformedError(f"{path}: {reason_of(error)}") from None
     if not stage:
         raise StageMalformedError(f"{path}: USD cannot open it as a stage")
     layers = stage.GetUsedLayers()
@@ -91,7 +91,8 @@ def _check_file(path: Path) -> None:
         raise StageMalformedError(f"{path}: is empty")
 
 
-def _reason(error: Tf.ErrorException) -> str:
+def reason_of(error: Tf.ErrorException) -> str:
+    """The last thing USD says about what went wrong, in one line."""
     commentaries = [hide_source(str(entry.commentary)) for entry in error.args]
     wanted = [c for c in commentaries if c and not c.startswith("Failed to open layer")]
     return wanted[-1] if wanted else "not a USD layer, or a damaged one"

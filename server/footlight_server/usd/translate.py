@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Tf, Usd, UsdGeom, UsdShade
 
 from footlight_server.usd.context import Context, Group, GroupLight, LoadImage, Part, Subdivide
-from footlight_server.usd.errors import StageLimitError
-from footlight_server.usd.open import OpenedStage
+from footlight_server.usd.errors import StageLimitError, StageMalformedError
+from footlight_server.usd.open import OpenedStage, reason_of
 from footlight_server.usd.placement import place, union
 from footlight_server.usd.prims.camera import find_camera, frame_camera, leave_out_clipped, set_camera
 from footlight_server.usd.prims.gprims import SHAPE_TYPES, translate_shape
@@ -33,6 +33,8 @@ _GEOMETRY.update(dict.fromkeys(SHAPE_TYPES, translate_shape))
 _SHOWN = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract & Usd.PrimHasDefiningSpecifier
 _IDENTITY = Gf.Matrix4d(1.0)
 _CHILDREN = Usd.TraverseInstanceProxies(_SHOWN)
+_CARRIERS = ("SkelRoot", "Skeleton")  # they have bounds, and nothing to draw
+_DRAW_MODES = ("origin", "bounds", "cards")
 # What a prototype's geometry takes over from above it, besides its place.
 _INHERITED = ("displayColor", "displayOpacity")
 
@@ -66,7 +68,21 @@ def translate(
     Raises:
         CameraError: the camera asked for is missing or unusable.
         StageLimitError: the stage is beyond the request's budget.
+        StageMalformedError: a file of the stage turns out to be damaged while it is read.
     """
+    try:
+        return _translate(opened, sink, request, load_image, subdivide)
+    except Tf.ErrorException as error:
+        raise StageMalformedError(f"{opened.stage.GetRootLayer().identifier}: {reason_of(error)}") from None
+
+
+def _translate(
+    opened: OpenedStage,
+    sink: SceneSink,
+    request: TranslateRequest,
+    load_image: LoadImage | None,
+    subdivide: Subdivide | None,
+) -> Report:
     stage = opened.stage
     report = Report(
         time_code=_time_code(stage, request),
@@ -137,8 +153,8 @@ class _Walk:
             ctx.report.note("", "the stage has no geometry that can be rendered")
         if camera:
             world = to_matrix(UsdGeom.Xformable(camera).ComputeLocalToWorldTransform(ctx.time))
-            set_camera(ctx, camera, settings, world)
-            leave_out_clipped(ctx, camera, world, placed)
+            seen = set_camera(ctx, camera, settings, world)
+            leave_out_clipped(ctx, camera, world, seen, placed)
         else:
             frame_camera(ctx, settings, union([box for _, box in placed]))
         if not self._lights_seen and not ctx.looks.has_emission:
@@ -227,12 +243,13 @@ class _Walk:
             add = translate_light(ctx, prim)
             if add is not None:
                 here.group.lights.append(GroupLight(str(prim.GetPath()), here.parent, add))
-        elif geometry is None and prim.IsA(UsdGeom.Boundable) and name != "SkelRoot":
+        elif geometry is None and prim.IsA(UsdGeom.Boundable) and name not in _CARRIERS:
             ctx.report.leave_out(prim.GetPath(), name, "no geometry of that type can be rendered")
         if prim.HasRelationship("skel:skeleton"):
-            ctx.report.leave_out(
-                prim.GetPath(), "skel:skeleton", "skinning is not rendered: the points stay as they are"
-            )
+            ctx.report.leave_out(prim.GetPath(), "skel:skeleton", "skinning is not rendered, the points stay put")
+        draw_mode = prim.GetAttribute("model:drawMode")
+        if draw_mode and draw_mode.Get(ctx.time) in _DRAW_MODES:
+            ctx.report.leave_out(prim.GetPath(), "model:drawMode", "stand-ins are not drawn, the geometry itself is")
 
     def _visit_instance(self, prim: Any, here: _Place) -> None:
         """A native instance: its prototype, walked under the first instance that inherits the same."""

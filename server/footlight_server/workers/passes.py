@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 # [samples per pixel] A pass doubles what is there, up to this, so that every tile is refreshed while one watches.
-LONGEST_PASS = 16
-# [s] How long a slice shall last: short at first, for the first tiles; longer later, since the threads wait at its end.
+LONGEST_PASS = 32
+# [s] How long a slice lasts that is watched: short at first, then longer, since the threads wait at its end.
 FIRST_SLICE = 0.05
 LONGEST_SLICE = 0.5
 # [1] Of the time rendered so far.
@@ -24,18 +24,21 @@ class Pace:
         known = self.seconds_per_tile_sample
         self.seconds_per_tile_sample = measured if known == 0 else 0.5 * (known + measured)
 
-    def slice_tiles(self, elapsed: float, samples: int, threads: int) -> int:
-        """Tiles in the next slice, `elapsed` [s] after the first. One a thread to begin with."""
+    def slice_tiles(self, seconds: float, samples: int, threads: int) -> int:
+        """Tiles in the next slice, for it to last `seconds`. One a thread to begin with."""
         if self.seconds_per_tile_sample == 0:
             return threads
-        fitting = _slice_seconds(elapsed) / (self.seconds_per_tile_sample * samples)
+        fitting = seconds / (self.seconds_per_tile_sample * samples)
         return max(threads, int(fitting))
 
-    def pass_samples(self, done: int, spp: int, elapsed: float, threads: int) -> int:
-        """Samples per pixel of the next pass, when `done` of `spp` are in: as many again, or fewer if they are slow."""
-        samples = min(max(done, 1), LONGEST_PASS, spp - done)
+    def pass_samples(self, done: int, spp: int, seconds: float, threads: int) -> int:
+        """Samples per pixel of the next pass, when `done` of `spp` are in.
+
+        One, three, then as many again; fewer if one tile for each thread would take more than the `seconds` of a slice.
+        """
+        samples = min(3 if done == 1 else max(done, 1), LONGEST_PASS, spp - done)
         if self.seconds_per_tile_sample > 0:
-            fitting = _slice_seconds(elapsed) / (self.seconds_per_tile_sample * threads)
+            fitting = seconds / (self.seconds_per_tile_sample * threads)
             samples = min(samples, max(1, int(fitting)))
         return samples
 
@@ -46,5 +49,6 @@ class Pace:
         return int(seconds / (self.seconds_per_tile_sample * tiles))
 
 
-def _slice_seconds(elapsed: float) -> float:
+def slice_seconds(elapsed: float) -> float:
+    """[s] How long a slice that is watched shall last, so long after the first began."""
     return min(max(FIRST_SLICE, SLICE_SHARE * elapsed), LONGEST_SLICE)

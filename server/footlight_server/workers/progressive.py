@@ -9,7 +9,7 @@ from typing import Protocol
 from footlight.v1 import render_pb2
 from footlight.worker.v1 import worker_pb2
 from footlight_server.workers.link import Link
-from footlight_server.workers.passes import Pace
+from footlight_server.workers.passes import LONGEST_SLICE, Pace, slice_seconds
 from footlight_server.workers.publisher import Publisher
 
 # [s] Between two reports of progress.
@@ -61,6 +61,11 @@ class ProgressiveRender:
         return time.monotonic() - self._began
 
     @property
+    def _slice_seconds(self) -> float:
+        """[s] How long the next slice shall last."""
+        return slice_seconds(self.elapsed) if self._publisher.watched else LONGEST_SLICE
+
+    @property
     def progress(self) -> render_pb2.Progress:
         """As last reported."""
         return self._progress
@@ -69,10 +74,11 @@ class ProgressiveRender:
         """Take samples until the goal is reached or the server asks to finish."""
         while (samples := self._next_pass()) > 0:
             if not self._take_pass(samples):
-                return
+                break
             self.done += samples
             self._measure_error()
             self._report(self.done, force=True)
+        self._publisher.publish_last()
 
     def _next_pass(self) -> int:
         goal = self._goal
@@ -80,7 +86,7 @@ class ProgressiveRender:
             return 0
         if goal.error and self._progress.HasField("error_mean") and self._progress.error_mean <= goal.error:
             return 0
-        samples = self._pace.pass_samples(self.done, goal.spp, self.elapsed, goal.threads)
+        samples = self._pace.pass_samples(self.done, goal.spp, self._slice_seconds, goal.threads)
         if goal.seconds and self.done:
             samples = min(samples, self._pace.samples_within(goal.seconds - self.elapsed, self._renderer.tiles))
         return samples
@@ -92,7 +98,7 @@ class ProgressiveRender:
         while begin < tiles:
             if self._link.finish_asked:
                 return False
-            count = self._pace.slice_tiles(self.elapsed, samples, self._goal.threads)
+            count = self._pace.slice_tiles(self._slice_seconds, samples, self._goal.threads)
             end = min(tiles, begin + count)
             before = time.monotonic()
             self._renderer.render(self.done, self.done + samples, begin, end)

@@ -30,8 +30,9 @@ class Publisher:
         shape = shape_of(width, height, channels)
         self._film: Film
         self._film, descriptor = create_film(shape)
-        self._samples = np.zeros(shape.tiles, np.uint32)
-        self._known: frozenset[str] = frozenset({"color"})
+        # [samples per pixel] By tile: taken so far, and for each AOV those in the film.
+        self._taken = np.zeros(shape.tiles, np.uint32)
+        self._shown = {aov: np.zeros(shape.tiles, np.uint32) for aov in aovs}
         event = worker_pb2.WorkerEvent(film=worker_pb2.Film(width=width, height=height))
         for plane in shape.planes:
             event.film.aovs.add(name=plane.name, channels=plane.channels, offset=plane.offset)
@@ -40,14 +41,20 @@ class Publisher:
         finally:
             os.close(descriptor)
 
+    @property
+    def watched(self) -> bool:
+        """Somebody looks."""
+        return bool(self._link.wanted_aovs)
+
     def publish(self, begin: int, end: int, samples: int) -> None:
-        """Show tiles [begin, end), which hold `samples` samples now; `color` always, other AOVs when somebody looks."""
-        self._samples[begin:end] = samples
-        wanted = (self._link.wanted_aovs | {"color"}) & self._film.planes.keys()
-        for aov in sorted(wanted):
-            tiles = range(begin, end) if aov in self._known else np.flatnonzero(self._samples).tolist()
-            self._copy(aov, tiles)
-        self._known = frozenset(wanted)
+        """Tiles [begin, end) hold `samples` samples now: show what is new in the AOVs that somebody looks at."""
+        self._taken[begin:end] = samples
+        for aov in sorted(self._link.wanted_aovs & self._shown.keys()):
+            self._show(aov)
+
+    def publish_last(self) -> None:
+        """Show `color` as it is in the end, for whoever comes late."""
+        self._show("color")
 
     def publish_coarse(self, image: NDArray[np.float32], scale: int) -> None:
         """Show a `color` in which one pixel stands for `scale` x `scale`; it lies at the upper left of each tile."""
@@ -59,13 +66,15 @@ class Publisher:
         message = worker_pb2.Tiles(aov="color", indices=range(shape.tiles), samples=0, scale=scale)
         self._link.send(worker_pb2.WorkerEvent(tiles=message))
 
-    def _copy(self, aov: str, tiles: Sequence[int]) -> None:
-        plane = self._film.planes[aov]
-        by_samples: dict[int, list[int]] = {}
-        for tile in tiles:
+    def _show(self, aov: str) -> None:
+        """Copy the tiles of which there is more than the film has, and say so, grouped by their samples."""
+        plane, shown = self._film.planes[aov], self._shown[aov]
+        news = np.flatnonzero(shown != self._taken)
+        for tile in news.tolist():
             box = self._film.shape.box(tile)
             plane[box.y : box.y + box.height, box.x : box.x + box.width] = self._source.read_tile(aov, tile)
-            by_samples.setdefault(int(self._samples[tile]), []).append(tile)
-        for samples, indices in by_samples.items():
-            message = worker_pb2.Tiles(aov=aov, indices=indices, samples=samples, scale=1)
+        for samples in np.unique(self._taken[news]).tolist():
+            tiles = news[self._taken[news] == samples].tolist()
+            message = worker_pb2.Tiles(aov=aov, indices=tiles, samples=samples, scale=1)
             self._link.send(worker_pb2.WorkerEvent(tiles=message))
+        shown[:] = self._taken

@@ -5,14 +5,13 @@ from functools import cache
 from importlib.metadata import version
 
 import footlight_core
-from footlight_server import __version__
 
 
 @cache
 def versions() -> dict[str, str]:
     """Names as in RenderStats.versions."""
     return {
-        "footlight": __version__,
+        "footlight": version("footlight-server"),
         "footlight_core": footlight_core.__version__,
         "instruction_set": footlight_core.instruction_set,
         "embree": footlight_core.embree_version,

@@ -70,9 +70,9 @@ struct Reflected {
     double valid;  // share of samples that leave upwards
 };
 // Integral of f over wi by the midpoint rule over the unit square of the sampler, which is free of noise; leans on pdf
-// and sampler to match, which is the chi-squared law below.
+// and sampler to match, the chi-squared law below. range: of u0; 1/2 where the lobe is symmetric about u0 = 1/2.
 template <class F, template <class> class L>
-Reflected integrate_albedo(const L<F>& lobe, Direction from, int turns = 64, int depths = 400) {
+Reflected integrate_albedo(const L<F>& lobe, Direction from, int turns = 64, int depths = 400, double range = 1) {
     const Vec3<F> wo = vector<F>(from);
     F lane_shift(0);  // each lane its own rows of the square
     if constexpr (is_batch<F>) {
@@ -86,7 +86,7 @@ Reflected integrate_albedo(const L<F>& lobe, Direction from, int turns = 64, int
         F valid(0);
         for (int j = 0; j < depths; j += lanes_of<F>) {
             const F u1 = (lane_shift + number<F>(j + 0.5)) * number<F>(1.0 / depths);
-            const LobeSample<F> s = lobe.sample(wo, number<F>((i + 0.5) / turns), u1);
+            const LobeSample<F> s = lobe.sample(wo, number<F>((i + 0.5) / turns * range), u1);
             const LobeEval<F> e = lobe.eval(wo, s.wi);
             const Mask<F> good = s.valid & (e.pdf > F(0));
             const F one = select(good, F(1), F(0));

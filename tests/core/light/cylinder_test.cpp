@@ -1,4 +1,4 @@
-// Cylinder lights: irradiance against quadrature from everywhere around them (L05), thin, near, end-on; rays that find them.
+// Cylinder lights: irradiance against quadrature from all around (L05), thin, near, end-on; rays that find them.
 #include "light/cylinder.h"
 
 #include "light_testing.h"
@@ -30,10 +30,11 @@ TEST(Cylinder, IrradianceMatchesQuadrature) {
         double radius, length;
         Vector p, n;
     };
-    for (const Case& c : {Case{0.5, 2, {0, 0, 3}, {0, 0, -1}}, Case{0.5, 2, {0, 1, 0}, {0, -1, 0}},
-                          Case{0.5, 2, {0.3, 0.6, 0}, {0, -1, 0}}, Case{0.5, 2, {4, 1, 0}, normalize(Vector{-1, 0.1, 0})},
-                          Case{0.5, 2, {3, 0.51, 0}, {-1, 0, 0}}, Case{0.01, 10, {0, 1, 1}, {0, -1, 0}},
-                          Case{0.1, 0.1, {1, 1, 1}, {-1, 0, 0}}, Case{1, 0.01, {0, 0, 4}, {0, 0, -1}}}) {
+    for (const Case& c :
+         {Case{0.5, 2, {0, 0, 3}, {0, 0, -1}}, Case{0.5, 2, {0, 1, 0}, {0, -1, 0}},
+          Case{0.5, 2, {0.3, 0.6, 0}, {0, -1, 0}}, Case{0.5, 2, {4, 1, 0}, normalize(Vector{-1, 0.1, 0})},
+          Case{0.5, 2, {3, 0.51, 0}, {-1, 0, 0}}, Case{0.01, 10, {0, 1, 1}, {0, -1, 0}},
+          Case{0.1, 0.1, {1, 1, 1}, {-1, 0, 0}}, Case{1, 0.01, {0, 0, 4}, {0, 0, -1}}}) {
         const double expected = quadrature(c.radius, c.length, c.p, c.n, 1500);
         for (const double turn : {0.0, 63.0}) {
             const Matrix4 m = rotate(normalize(Vector{1, 2, -1}), turn);

@@ -88,7 +88,8 @@ TEST(Distant, TheRimIsFound) {
         }
 }
 
-// The reason for chords: at a fiftieth of the angle of the sun a cone known by its float cosine has lost percents of its area.
+// The reason for chords: at a fiftieth of the angle of the sun a cone known by its float cosine has lost percents of
+// its area.
 TEST(Distant, CosineOfASmallAngleHasNoDigits) {
     const double half = 0.01 / 2 * kPi / 180;
     const auto cosine = static_cast<float>(std::cos(half));

@@ -1,4 +1,4 @@
-// The light table: what is pruned and why (L14), sizes and normalisation, negative (L15) and huge (L16) lights, the choice.
+// The light table: what is pruned (L14), normalisation, negative (L15) and huge (L16) lights, the choice of a light.
 #include "light/light_table.h"
 
 #include "light_testing.h"
@@ -94,7 +94,8 @@ LightTable spheres(const std::vector<double>& emissions) {
 }
 
 TEST(LightTable, ChoiceIsAProbability) {
-    for (const auto& emissions : {std::vector<double>{1}, {1, 1e12, 1e-6}, {1e-20, 1e30, -1e30, 3}, std::vector<double>(10000, 0.5)}) {
+    for (const auto& emissions :
+         {std::vector<double>{1}, {1, 1e12, 1e-6}, {1e-20, 1e30, -1e30, 3}, std::vector<double>(10000, 0.5)}) {
         const LightTable table = spheres(emissions);
         double sum = 0;
         for (std::uint32_t i = 0; i < table.size(); ++i) {

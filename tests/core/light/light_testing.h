@@ -1,4 +1,4 @@
-// Tools for the light tests: records of drawn samples, in double whatever number type drew them, and what to ask of them.
+// Tools for the light tests: samples drawn by any number type, recorded in double, and what to ask of them.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -26,16 +26,22 @@ struct Record {
 
 template <class F>
 inline F spread(const std::array<float, kLanes>& lanes, int lane) {
-    if constexpr (is_batch<F>) return F::load_unaligned(lanes.data());
-    else return static_cast<F>(lanes[lane]);
+    if constexpr (is_batch<F>)
+        return F::load_unaligned(lanes.data());
+    else
+        return static_cast<F>(lanes[lane]);
 }
 template <class F>
 inline double lane_of(F x, int lane) {
-    if constexpr (is_batch<F>) return double{x.get(static_cast<std::size_t>(lane))};
-    else return static_cast<double>(x);
+    if constexpr (is_batch<F>)
+        return double{x.get(static_cast<std::size_t>(lane))};
+    else
+        return static_cast<double>(x);
 }
 template <class F>
-inline bool lane_of_mask(Mask<F> m, int lane) { return lane_of<F>(select(m, F(1), F(0)), lane) != 0; }
+inline bool lane_of_mask(Mask<F> m, int lane) {
+    return lane_of<F>(select(m, F(1), F(0)), lane) != 0;
+}
 
 template <class F>
 inline Vec3<F> number(Vector v) {
@@ -69,8 +75,7 @@ inline std::vector<Record> draw(const LightTable& table, std::uint32_t light, Ve
             u[k] = q.u;
             v[k] = q.v;
         }
-        const LightSample<F> s =
-            sample_light<F>(table, UInt<F>(light), number<F>(p), spread<F>(u, 0), spread<F>(v, 0));
+        const LightSample<F> s = sample_light<F>(table, UInt<F>(light), number<F>(p), spread<F>(u, 0), spread<F>(v, 0));
         for (int k = 0; k < lanes; ++k)
             records.push_back({{lane_of(s.wi.x, k), lane_of(s.wi.y, k), lane_of(s.wi.z, k)},
                                lane_of(s.distance, k),
@@ -97,9 +102,9 @@ template <class F>
 inline LightHit<double> found(const LightTable& table, std::uint32_t light, Vector p, Vector wi, double distance) {
     using S = std::conditional_t<std::is_same_v<F, double>, double, float>;
     const bool is_infinite = std::find(table.infinite.begin(), table.infinite.end(), light) != table.infinite.end();
-    const LightHit<F> hit = is_infinite ? escape_light<F>(table, light, number<F>(wi))
-                                        : hit_light<F>(table, UInt<F>(light), number<F>(p), number<F>(wi),
-                                                       F(static_cast<S>(distance)));
+    const LightHit<F> hit =
+        is_infinite ? escape_light<F>(table, light, number<F>(wi))
+                    : hit_light<F>(table, UInt<F>(light), number<F>(p), number<F>(wi), F(static_cast<S>(distance)));
     return {{lane_of(hit.radiance.r, 0), lane_of(hit.radiance.g, 0), lane_of(hit.radiance.b, 0)}, lane_of(hit.pdf, 0)};
 }
 

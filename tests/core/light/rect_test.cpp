@@ -1,4 +1,4 @@
-// Rect lights: solid angle and irradiance against closed forms, near, far, grazing and tiny (L03), shear and scale (L23).
+// Rect lights: solid angle and irradiance against closed forms, near, far, grazing, tiny (L03); affine maps (L23).
 #include "light/rect.h"
 
 #include "light_testing.h"
@@ -75,8 +75,8 @@ TEST(Rect, DensityIsOneOverTheSolidAngleAtEverySizeAndOffset) {
             }
             EXPECT_NEAR(covered / 4096 / exact, 1, 1e-3) << "size " << place.size << " offset " << place.offset;
             const auto naive = static_cast<double>(
-                solid_angle_acos<float>(static_cast<float>(x - w), static_cast<float>(x + w),
-                                        static_cast<float>(y - h), static_cast<float>(y + h), 1.0F));
+                solid_angle_acos<float>(static_cast<float>(x - w), static_cast<float>(x + w), static_cast<float>(y - h),
+                                        static_cast<float>(y + h), 1.0F));
             worst_mutant = std::max(worst_mutant, std::abs(naive / exact - 1));
         }
     }
@@ -95,8 +95,7 @@ TEST(Rect, IrradianceOfAParallelReceiverIsTheConfigurationFactor) {
             const double far = 4 * w * h / (d2 * d2);
             const double expected = place.size < 0.02 ? far : exact;
             const double sum = irradiance(draw<FloatV>(table, 0, p, 4096), transform_vector(turn, {0, 0, 1}));
-            EXPECT_NEAR(sum / expected, 1, 1e-3)
-                << "size " << place.size << " offset " << place.offset;
+            EXPECT_NEAR(sum / expected, 1, 1e-3) << "size " << place.size << " offset " << place.offset;
         }
     }
 }
@@ -112,7 +111,8 @@ TEST(Rect, BehindItIsDark) {
 
 // A mirroring transform keeps the image of local -Z as the side that emits.
 TEST(Rect, MirroringKeepsTheSideThatEmits) {
-    for (const Vector s : {Vector{-1, 1, 1}, Vector{1, -1, 1}, Vector{-1, -1, 1}, Vector{1, 1, -1}, Vector{-1, -1, -1}}) {
+    for (const Vector s :
+         {Vector{-1, 1, 1}, Vector{1, -1, 1}, Vector{-1, -1, 1}, Vector{1, 1, -1}, Vector{-1, -1, -1}}) {
         const LightTable table = one(rect(1, 1, scale(s)));
         EXPECT_TRUE(draw<float>(table, 0, {0.1, 0.1, -s.z}, 16)[0].valid);
         EXPECT_FALSE(draw<float>(table, 0, {0.1, 0.1, s.z}, 16)[0].valid);
@@ -121,8 +121,8 @@ TEST(Rect, MirroringKeepsTheSideThatEmits) {
 
 // Any affine image: a stretched rectangle, a rectangle turned by 45 degrees and then stretched (a rhombus).
 TEST(Rect, AffineImagesMatchQuadrature) {
-    for (const Matrix4& m : {scale({1, 3, 1}), rotate({0, 0, 1}, 45) * scale({1, 3, 0.5}),
-                             rotate({1, 0, 0}, 30) * scale({2, 1, 0.3})}) {
+    for (const Matrix4& m :
+         {scale({1, 3, 1}), rotate({0, 0, 1}, 45) * scale({1, 3, 0.5}), rotate({1, 0, 0}, 30) * scale({2, 1, 0.3})}) {
         const LightTable table = one(rect(1, 0.5, m));
         const Vector u = row(m, 0), v = row(m, 1) * 0.5, c = cross(u, v);
         const Vector n = normalize(c) * -1.0;
@@ -147,7 +147,8 @@ TEST(Rect, CornersGoRoundAndLieOnTheLight) {
     const Vector n = normalize(cross(edge(0, 1), edge(1, 2)));
     EXPECT_NEAR(dot(n, broadcast_row<double>(table, 0).n), 1, 1e-6);
     const LightBounds box = light_bounds(table, 0);
-    for (const auto& c : corners) EXPECT_TRUE(box.lower.x <= c.x && c.x <= box.upper.x && box.lower.z <= c.z && c.z <= box.upper.z);
+    for (const auto& c : corners)
+        EXPECT_TRUE(box.lower.x <= c.x && c.x <= box.upper.x && box.lower.z <= c.z && c.z <= box.upper.z);
 }
 
 }  // namespace

@@ -60,7 +60,7 @@ TEST(Distribution, EveryEntryIsDrawnAsOftenAsItsProbabilitySays) {
 }
 
 TEST(Distribution, EdgesAndPlateaus) {
-    const std::vector<std::vector<double>> tables{{0, 0, 1}, {1, 0, 0}, {0, 1, 0, 1}, {1e-38, 1}, {1e30, 1e-30},
+    const std::vector<std::vector<double>> tables{{0, 0, 1}, {1, 0, 0}, {0, 1, 0, 1},   {1e-38, 1},    {1e30, 1e-30},
                                                   {1},       {1e-310},  {1e308, 1e308}, {0, 1e-200, 0}};
     for (const auto& weights : tables) {
         const Distribution1D table{weights};

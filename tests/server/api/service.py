@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import grpc
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 its documentation's name
+from numpy.typing import NDArray
 
 from footlight.v1 import render_pb2, render_service_pb2, render_service_pb2_grpc, stage_service_pb2_grpc
 
@@ -113,7 +116,8 @@ class Stubs:
 
     async def get(self, name: str) -> render_pb2.Render:
         request = render_service_pb2.GetRenderRequest(name=name)
-        return (await self.renders.GetRender(request, timeout=10)).render
+        response: render_service_pb2.GetRenderResponse = await self.renders.GetRender(request, timeout=10)
+        return response.render
 
     async def wait(self, name: str, *states: int, within: float = 30.0) -> render_pb2.Render:
         """The render once it has one of these states."""
@@ -157,6 +161,16 @@ class Stubs:
     async def result(self, name: str, **options: object) -> bytes:
         request = render_service_pb2.GetResultRequest(name=name, **options)
         return b"".join([chunk.data async for chunk in self.renders.GetResult(request, timeout=30)])
+
+
+def pixels_of(exr: bytes, directory: Path) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+    """Channel names, and (height, width, channels)."""
+    path = directory / "image.exr"
+    path.write_bytes(exr)
+    image = oiio.ImageBuf(str(path))
+    pixels = image.get_pixels(oiio.FLOAT)
+    assert pixels is not None, image.geterror()
+    return tuple(image.spec().channelnames), pixels
 
 
 @contextlib.asynccontextmanager

@@ -8,9 +8,10 @@ import sys
 import time
 from pathlib import Path
 
+import grpc
 import pytest
 
-from footlight.v1 import render_pb2
+from footlight.v1 import render_pb2, stage_service_pb2
 from tests.server.api.service import Server, StartServer, Stubs, connect
 
 # [s] Within which a fault has to show.
@@ -72,6 +73,19 @@ async def test_a_stage_that_hangs_in_the_parser_is_given_up(
             assert "1.5 s" in render.failure.message
             took = render.end_time.ToNanoseconds() - render.start_time.ToNanoseconds()
             assert took < (1.5 + SOON) * 1e9
+
+
+async def test_an_explanation_that_nobody_waits_for_frees_its_worker(
+    start_server: StartServer, stage: Path, hanging_stage: Path
+) -> None:
+    with start_server("--workers", 1) as server:
+        async with connect(server) as client:
+            spec = render_pb2.RenderSpec(stage_path=str(hanging_stage))
+            with pytest.raises(grpc.aio.AioRpcError) as caught:
+                await client.stages.ExplainStage(stage_service_pb2.ExplainStageRequest(spec=spec), timeout=3)
+            assert caught.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+            render = await client.end(await client.create(stage, spp=1))
+            assert render.state == render_pb2.RENDER_STATE_SUCCEEDED
 
 
 async def test_a_stage_that_eats_memory_is_stopped(start_server: StartServer, stage: Path, bomb_stage: Path) -> None:

@@ -1,6 +1,7 @@
 """Bad requests: each is refused at once, with its code, its reason and every field at fault."""
 
 import os
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import grpc
@@ -80,7 +81,7 @@ async def test_a_fifo_is_no_stage(client: Stubs, tmp_path: Path) -> None:
     assert caught.value.code() == grpc.StatusCode.INVALID_ARGUMENT
 
 
-CALLS = {
+CALLS: dict[str, Callable[[Stubs, str], Awaitable[object]]] = {
     "GetRender": Stubs.get,
     "CancelRender": Stubs.cancel,
     "GetResult": Stubs.result,

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import grpc
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 its documentation's name
 import pytest
 
 from footlight.v1 import render_pb2, render_service_pb2
-from tests.server.api.service import Stubs
+from tests.server.api.service import Stubs, pixels_of
 
 
 async def test_a_stage_becomes_an_exr(client: Stubs, stage: Path, tmp_path: Path) -> None:
@@ -18,11 +17,9 @@ async def test_a_stage_becomes_an_exr(client: Stubs, stage: Path, tmp_path: Path
     render = await client.end(name)
     assert render.state == render_pb2.RENDER_STATE_SUCCEEDED
     data = await client.result(name)
-    path = tmp_path / "image.exr"
-    path.write_bytes(data)
-    image = oiio.ImageBuf(str(path))
-    assert image.spec().channelnames == ("R", "G", "B", "A", "depth.Z")
-    assert image.get_pixels(oiio.FLOAT).shape == (96, 128, 5)
+    channels, image = pixels_of(data, tmp_path)
+    assert channels == ("R", "G", "B", "A", "depth.Z")
+    assert image.shape == (96, 128, 5)
     assert (await client.result(name, format=render_service_pb2.RESULT_FORMAT_PNG)).startswith(b"\x89PNG")
     assert await client.result(name, offset=1000) == data[1000:]
 
@@ -58,9 +55,7 @@ async def test_the_seed_decides_and_the_threads_do_not(client: Stubs, stage: Pat
     async def pixels(**options: object) -> np.ndarray:
         name = await client.create(stage, spp=3, **options)
         await client.end(name)
-        path = tmp_path / "image.exr"
-        path.write_bytes(await client.result(name))
-        return oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)
+        return pixels_of(await client.result(name), tmp_path)[1]
 
     one = await pixels(seed=1, threads=1)
     np.testing.assert_array_equal(await pixels(seed=1, threads=2), one)

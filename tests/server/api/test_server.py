@@ -107,8 +107,8 @@ async def test_sigterm_ends_renders_workers_and_files(start_server: StartServer,
             assert list(scratch.iterdir()) == []
 
 
-async def test_workers_do_not_outlive_a_killed_server(start_server: StartServer, stage: Path) -> None:
-    with start_server() as server:
+async def test_workers_do_not_outlive_a_killed_server(start_server: StartServer, stage: Path, tmp_path: Path) -> None:
+    with start_server("--scratch", tmp_path) as server:
         async with connect(server) as client:
             await client.wait(await client.create(stage), render_pb2.RENDER_STATE_RENDERING)
             workers = server.workers()

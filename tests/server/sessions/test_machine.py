@@ -36,7 +36,8 @@ histories = st.lists(st.tuples(events, st.floats(0, 8)), max_size=30)
 
 
 def run(history: list[tuple[Event, float]]) -> tuple[State, float, list[Effect]]:
-    state, now, effects = State(), 0.0, []
+    state, now = State(), 0.0
+    effects: list[Effect] = []
     for event, pause in history:
         now += pause
         state, new = step(state, event, now, PATIENCE)

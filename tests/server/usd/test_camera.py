@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from footlight_server.usd import CameraError, TranslateRequest
+from footlight_server.usd import CameraError, StageLimitError, TranslateRequest
 from footlight_server.usd.prims.camera import conform
 from tests.server.usd.capture import CapturingSink, to_world
 from tests.server.usd.stages import reasons, stage_of, translated, translated_text
@@ -123,6 +123,21 @@ def test_the_framed_camera_sees_everything_and_fills_the_image(up: str, size: tu
     assert np.array_equal(sink.camera["camera_to_world"][1, :3], up_axis)
 
 
+def test_framing_counts_turned_and_mirrored_parts() -> None:
+    sink, _ = translated_text(
+        """def Cube "c" {
+            double3 xformOp:translate = (50, 0, 0)
+            float xformOp:rotateZ = 45
+            float3 xformOp:scale = (-8, -8, 1)
+            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ", "xformOp:scale"]
+        }""",
+        TranslateRequest(size=(100, 300)),
+    )
+    [(mesh, matrix)] = sink.placed()
+    image = projected(sink, to_world(mesh["points"], matrix))
+    assert 0.9 < np.abs(image[:, :2]).max() <= 1.0
+
+
 def test_a_stage_without_anything_is_an_image_of_a_white_dome() -> None:
     sink, report = translated_text("")
     assert [kind for kind, _ in sink.lights] == ["dome"]
@@ -205,3 +220,23 @@ def test_bad_clipping_ranges_hide_nothing(clip: str) -> None:
     sink, report = translated_text(CAMERAS.replace("(0.5, 100)", clip) % "", TranslateRequest(camera="/one"))
     assert sink.camera["clipping_range"][0] == 0
     assert "/one clippingRange" in reasons(report)
+
+
+def test_what_the_clipping_range_hides_is_named() -> None:
+    def sphere(name: str, z: float) -> str:
+        return (
+            f'def Sphere "{name}" {{\n double radius = 0.25\n double3 xformOp:translate = (1, 2, {3 - z})\n'
+            'uniform token[] xformOpOrder = ["xformOp:translate"] }\n'
+        )
+
+    text = (
+        CAMERAS.replace("(0.5, 100)", "(1, 100)") % "" + sphere("near", 0.5) + sphere("far", 101) + sphere("seen", 50)
+    )
+    _, report = translated_text(text + sphere("cut", 1) + sphere("behind", -5), TranslateRequest(camera="/one"))
+    assert [line.path for line in report.left_out] == ["/near", "/far"]
+    assert "at most 0.75 from /one, which sees 1 to 100" in reasons(report)
+
+
+def test_images_beyond_the_budget_are_refused() -> None:
+    with pytest.raises(StageLimitError, match=r"/s: 100000 x 100000 pixels"):
+        translated_text('def RenderSettings "s" {\n int2 resolution = (100000, 100000) }')

@@ -198,6 +198,22 @@ def test_hostile_files_end_in_an_exit_not_in_a_crash(tmp_path: Path, name: str) 
     assert done.returncode == 0, done.stderr.decode()[-2000:]
 
 
+def test_files_cut_short_while_they_are_open_are_errors(tmp_path: Path) -> None:
+    """Memory-mapped, this would be a SIGBUS."""
+    path = tmp_path / "s.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/m")
+    mesh.CreatePointsAttr([(i % 7, i % 5, i % 3) for i in range(20_000)])
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    stage.Save()
+    copy = write(tmp_path / "copy.usdc", path.read_bytes())
+    opened = open_stage(copy)
+    os.truncate(copy, 500)
+    with pytest.raises(StageMalformedError, match=r"copy\.usdc: "):
+        translate(opened, CapturingSink(), TranslateRequest())
+
+
 def test_truncated_crate_files_are_errors(tmp_path: Path) -> None:
     whole = tmp_path / "whole.usdc"
     stage = Usd.Stage.CreateNew(str(whole))

@@ -129,3 +129,32 @@ def test_loop_needs_triangles() -> None:
     sink, report = translated_text(CUBE % 'uniform token subdivisionScheme = "loop"')
     assert not sink.meshes
     assert "/m Mesh: subdivide: loop needs triangles" in reasons(report)
+
+
+def test_faces_without_area_change_nothing() -> None:
+    colors = ", ".join(f"({i / 32}, 0, 0)" for i in range(24))
+    text = f'int[] holeIndices = [1, 3]\n color3f[] primvars:displayColor = [{colors}] (interpolation = "faceVarying")'
+    clean, _ = translated_text(CUBE % text, LEVEL_2)
+    # The same with a face of two points and one of one before the last four, their corners' colours red.
+    at = colors.split("), ")
+    padded = "), ".join([*at[:8], *["(9, 9, 9"] * 3, *at[8:]])
+    dirty_text = text.replace(colors, padded).replace("[1, 3]", "[1, 5]")
+    cage = CUBE.replace("[4, 4, 4, 4, 4, 4]", "[4, 4, 2, 1, 4, 4, 4, 4]").replace("4,5,6,7, 0", "4,5,6,7, 0,1, 0, 0", 1)
+    subset = """
+    def GeomSubset "s" {
+        uniform token elementType = "face"
+        uniform token familyName = "materialBind"
+        int[] indices = [4]
+    }
+    """
+    dirty, report = translated_text(cage % dirty_text, LEVEL_2)
+    assert "2 of 8 have fewer than 3 points" in reasons(report)
+    assert np.array_equal(clean.meshes[0]["triangles"], dirty.meshes[0]["triangles"])
+    assert np.array_equal(
+        corners(clean.meshes[0], "colors", "color_indices"), corners(dirty.meshes[0], "colors", "color_indices")
+    )
+    split, _ = translated_text(cage % (dirty_text + subset), LEVEL_2)
+    wanted, _ = translated_text(CUBE % (text + subset.replace("[4]", "[2]")), LEVEL_2)
+    assert len(split.meshes) == 2
+    assert [area(mesh) for mesh in split.meshes] == [area(mesh) for mesh in wanted.meshes]
+    assert np.array_equal(split.meshes[0]["points"], wanted.meshes[0]["points"])

@@ -66,6 +66,14 @@ def test_singular_transforms_leave_out_what_is_below_and_nothing_else(op: str) -
     assert "/bad Xform: its transform is" in reasons(report)
 
 
+@pytest.mark.parametrize(("last", "is_singular"), [((7, 8, 9), True), ((7, 8, 10), False)])
+def test_flat_matrices_without_zeros_are_singular(last: tuple[int, ...], is_singular: bool) -> None:
+    stage = stage_of(f'def Mesh "m" {{\n {POINT} }}')
+    matrix = Gf.Matrix4d(1, 2, 3, 0, 4, 5, 6, 0, *last, 0, 0, 0, 0, 1)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/m")).AddTransformOp().Set(matrix)
+    assert bool(translated(stage)[0].placed()) != is_singular
+
+
 def test_visibility_and_purpose() -> None:
     text = f"""
     def Xform "hidden" {{
@@ -256,3 +264,31 @@ def test_instance_bombs_are_refused_with_the_path() -> None:
         source = f"/L{level}"
     with pytest.raises(StageLimitError, match=r"instances, allowed are 1000000"):
         translated_text(text + instance("bomb", 0, source=source), TranslateRequest(budget=Budget(instances=1_000_000)))
+
+
+def test_nested_instances_are_where_usd_says() -> None:
+    """Rotations and scales do not commute: inner before outer."""
+
+    def turned(name: str, source: str, angle: int) -> str:
+        ops = '["xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale"]'
+        return f"""
+        def Xform "{name}" (
+            instanceable = true
+            references = <{source}>
+        ) {{
+            double3 xformOp:translate = ({angle}, 1, 2)
+            float3 xformOp:rotateXYZ = ({angle}, 20, {3 * angle})
+            float3 xformOp:scale = (1, 2, 0.5)
+            uniform token[] xformOpOrder = {ops}
+        }}
+        """
+
+    pair = '\nclass Xform "Pair" {\n' + turned("one", "/Source", 10) + turned("two", "/Source", 40) + "}\n"
+    stage = stage_of(CLASS + pair + turned("a", "/Pair", 25) + turned("b", "/Pair", -70))
+    sink, _ = translated(stage)
+    cache = UsdGeom.XformCache(0.0)
+    meshes = [p for p in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if p.IsA(UsdGeom.Mesh)]
+    wanted = sorted(np.array(cache.GetLocalToWorldTransform(prim)).reshape(16).tolist() for prim in meshes)
+    assert len(wanted) == 4
+    got = sorted(matrix.reshape(16).tolist() for _, matrix in sink.placed())
+    assert np.array(got) == pytest.approx(np.array(wanted), abs=1e-12)

@@ -43,8 +43,8 @@ def find_camera(stage: Any, wanted: str | None, settings: ImageSettings, ctx: Co
     return stage.GetPrimAtPath(found[0])
 
 
-def set_camera(ctx: Context, prim: Any, settings: ImageSettings, world: Doubles) -> None:
-    """Hands a UsdGeom.Camera at `world` (its local-to-world matrix) to the sink. Raises CameraError."""
+def set_camera(ctx: Context, prim: Any, settings: ImageSettings, world: Doubles) -> tuple[float, float]:
+    """Hands a UsdGeom.Camera at `world` (local to world) to the sink; returns its clippingRange. Raises CameraError."""
     path = str(prim.GetPath())
     camera = UsdGeom.Camera(prim)
     if str(camera.GetProjectionAttr().Get(ctx.time)) == "orthographic":
@@ -79,6 +79,7 @@ def set_camera(ctx: Context, prim: Any, settings: ImageSettings, world: Doubles)
     if camera.GetClippingPlanesAttr().Get(ctx.time):
         ctx.report.leave_out(path, "clippingPlanes", "are not rendered; clippingRange is")
     horizontal, vertical = conform(*apertures, _image_aspect(ctx, settings), settings.conform)
+    clipping_range = _clipping_range(ctx, camera)
     ctx.sink.set_camera(
         path=path,
         camera_to_world=_without_scale(world),
@@ -89,15 +90,18 @@ def set_camera(ctx: Context, prim: Any, settings: ImageSettings, world: Doubles)
         vertical_aperture_offset=offsets[1],
         f_stop=f_stop,
         focus_distance=max(focus_distance, 0.0),
-        clipping_range=_clipping_range(ctx, camera),
+        clipping_range=clipping_range,
         exposure_scale=exposure_scale,
     )
     ctx.report.camera = path
+    return clipping_range
 
 
-def leave_out_clipped(ctx: Context, prim: Any, world: Doubles, placed: list[tuple[str, Doubles]]) -> None:
+def leave_out_clipped(
+    ctx: Context, prim: Any, world: Doubles, clipping_range: tuple[float, float], placed: list[tuple[str, Doubles]]
+) -> None:
     """Names what is in front of the camera and wholly outside its clippingRange: nothing vanishes in silence."""
-    near, far = _clipping_range(ctx, UsdGeom.Camera(prim))
+    near, far = clipping_range
     back = _without_scale(world)[2, :3]
     for path, (low, high) in placed:
         depth = float((world[3, :3] - (low + high) / 2.0) @ back)
