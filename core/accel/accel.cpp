@@ -35,10 +35,11 @@ struct GeometryEntry {
     std::vector<std::uint32_t> light_of_primitive;  // lights: the light's row
 };
 
-// Embree hands this back to the opacity filter.
+// Embree hands this back to filters and callbacks.
 struct QueryContext {
     RTCIntersectContext embree;
     const float* opacity_u;
+    const std::uint32_t* light;  // of shadow rays, by ray id
 };
 
 }  // namespace
@@ -154,8 +155,22 @@ struct Accel::Impl {
         for (std::uint32_t rect = 0; rect < corners.size() / 12; ++rect)
             for (const std::uint32_t corner : {0U, 1U, 2U, 0U, 2U, 3U}) *indices++ = rect * 4 + corner;
         rtcSetGeometryMask(handle, visibility_mask(visible));
+        rtcSetGeometryUserData(handle, this);
+        rtcSetGeometryOccludedFilterFunction(handle, pass_own_light);
         attach(world, handle, static_cast<std::uint32_t>(world_entries.size()));
         world_entries.push_back(std::move(entry));
+    }
+
+    static void pass_own_light(const RTCFilterFunctionNArguments* args) {
+        const auto* self = static_cast<const Impl*>(args->geometryUserPtr);
+        const auto* context = reinterpret_cast<const QueryContext*>(args->context);
+        const unsigned n = args->N;
+        for (unsigned i = 0; i < n; ++i) {
+            if (args->valid[i] == 0) continue;
+            const GeometryEntry& entry = self->world_entries[RTCHitN_geomID(args->hit, n, i)];
+            const std::uint32_t light = entry.light_of_primitive[RTCHitN_primID(args->hit, n, i)];
+            if (light == context->light[RTCRayN_id(args->ray, n, i)]) args->valid[i] = 0;
+        }
     }
 
     void add_curved_lights(bool visible) {
@@ -213,6 +228,10 @@ struct Accel::Impl {
         const unsigned n = args->N;
         for (unsigned i = 0; i < n; ++i) {
             if (args->valid[i] == 0) continue;
+            if constexpr (!Closest) {
+                const auto* context = reinterpret_cast<const QueryContext*>(args->context);
+                if (light == context->light[RTCRayN_id(rays, n, i)]) continue;
+            }
             const Vec3<float> o{RTCRayN_org_x(rays, n, i), RTCRayN_org_y(rays, n, i), RTCRayN_org_z(rays, n, i)};
             const Vec3<float> d{RTCRayN_dir_x(rays, n, i), RTCRayN_dir_y(rays, n, i), RTCRayN_dir_z(rays, n, i)};
             const float t = footlight::intersect_light<float>(self->lights, light, o, d);
@@ -339,11 +358,12 @@ void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::si
     }
 }
 
-void Accel::occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const float* opacity_u,
-                     std::uint8_t* occluded) const noexcept {
+void Accel::occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const std::uint32_t* light,
+                     const float* opacity_u, std::uint8_t* occluded) const noexcept {
     QueryContext context{};
     rtcInitIntersectContext(&context.embree);
     context.opacity_u = opacity_u;
+    context.light = light;
     for (std::size_t i = 0; i < count; i += kLanes) {
         alignas(kAlignment) Packet<kLanes>::Ray packet;
         alignas(kAlignment) int valid[kLanes];

@@ -50,9 +50,10 @@ public:
     void intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind,
                    const float* opacity_u, const HitColumns& hits) const noexcept;
 
-    // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0.
-    void occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const float* opacity_u,
-                  std::uint8_t* occluded) const noexcept;
+    // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0. light: column of the rows of the lights
+    // that the rays ask for; no light shadows itself.
+    void occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const std::uint32_t* light,
+                  const float* opacity_u, std::uint8_t* occluded) const noexcept;
 
     // Bytes Embree holds for the scene.
     [[nodiscard]] std::size_t bytes() const;

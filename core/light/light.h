@@ -7,6 +7,7 @@
 // - sample_light and hit_light (or escape_light) answer the same radiance and pdf for the same wi.
 // - rect and disk emit along their local -Z only; sphere and cylinder outward, the cylinder (axis X) without caps. The
 //   other side, and the inside, is dark: radiance 0 and pdf 0.
+// - triangle is a face of an emissive mesh and emits from both sides; rays find it as a surface.
 // - distant emits along -Z; the dome inward, +Y up (see dome.h). Both are infinitely far.
 // - a distant light of angle 0 is a delta light: is_delta, pdf 1, radiance is an irradiance; no ray ever finds it.
 // - there is no length constant: all scaled by a power of two, the answers are the same bits.
@@ -22,13 +23,15 @@
 #include "light/mis.h"
 #include "light/rect.h"
 #include "light/sphere.h"
+#include "light/triangle.h"
 
 namespace footlight {
 
 // The closed list, in the order of LightKind.
 template <class F>
 using LightTypes =
-    std::tuple<RectLight<F>, DiskLight<F>, SphereLight<F>, CylinderLight<F>, DistantLight<F>, DomeLight<F>>;
+    std::tuple<RectLight<F>, DiskLight<F>, SphereLight<F>, CylinderLight<F>, DistantLight<F>, DomeLight<F>,
+               TriangleLight<F>>;
 
 // Calls visit.operator()<Light>() for every light type whose kind is in the mask.
 template <class F, class Visit>

@@ -8,7 +8,7 @@
 namespace footlight {
 
 // The closed list of lights. A new one: its name here, its file, its place in LightTypes (light.h) and its append_*.
-enum class LightKind : std::uint32_t { rect, disk, sphere, cylinder, distant, dome };
+enum class LightKind : std::uint32_t { rect, disk, sphere, cylinder, distant, dome, triangle };
 
 template <class F>
 struct LightSample {

@@ -210,6 +210,22 @@ std::string append_dome(LightTable& table, const DomeLightDesc& desc) {
     return "";
 }
 
+std::string append_triangle(LightTable& table, const TriangleLightDesc& desc) {
+    if (std::string reason = refuse_desc(desc); !reason.empty()) return reason;
+    const Vector a = desc.corners[1] - desc.corners[0], b = desc.corners[2] - desc.corners[0];
+    const Vector normal = cross(a, b);
+    const double area = length(normal) / 2;
+    if (!(area > 0)) return "its area is zero";
+    Row r{.center = desc.corners[0], .u = unit(a), .v = unit(b), .n = unit(normal)};
+    r.size_u = length(a);
+    r.size_v = length(b);
+    r.density = 1 / area;
+    // Both sides count for its power, one of them for the area it is normalised by: emission has no normalisation.
+    std::string reason = add_area_light(table, LightKind::triangle, r, desc, area, "");
+    if (reason.empty()) table.info.back().power *= 2;
+    return reason;
+}
+
 void finalize(LightTable& table, double scene_radius) {
     const double radius = scene_radius > 0 ? scene_radius : 1;  // an empty scene, or a single point
     for (const std::uint32_t i : table.infinite) table.info[i].power *= kPi * radius * radius;
@@ -242,6 +258,7 @@ LightBounds light_bounds(const LightTable& table, std::uint32_t light) {
                 return std::abs(u) * r.size_v + r.size_u * std::sqrt(std::max(0.0, 1 - u * u));
             case LightKind::distant:
             case LightKind::dome:
+            case LightKind::triangle:
                 break;
         }
         return std::numeric_limits<double>::infinity();

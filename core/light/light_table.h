@@ -37,6 +37,10 @@ struct CylinderLightDesc : LightDesc {
 struct DistantLightDesc : LightDesc {
     double angle = 0.53;  // [degrees], diameter
 };
+// Faces of emissive meshes are placed by their corners, in render space.
+struct TriangleLightDesc : LightDesc {
+    std::array<Vec3<double>, 3> corners{};
+};
 struct DomeLightDesc : LightDesc {
     const float* image = nullptr;  // (height, width, 3), latitude-longitude, top row first; none: one colour
     std::uint32_t width = 0, height = 0;
@@ -81,6 +85,7 @@ std::string append_sphere(LightTable& table, const SphereLightDesc& desc);
 std::string append_cylinder(LightTable& table, const CylinderLightDesc& desc);
 std::string append_distant(LightTable& table, const DistantLightDesc& desc);
 std::string append_dome(LightTable& table, const DomeLightDesc& desc);
+std::string append_triangle(LightTable& table, const TriangleLightDesc& desc);
 
 // Computes what depends on all lights and on the scene: the power of infinite lights is what they send through the disc
 // of scene_radius, and lights are chosen in proportion to power. Call it once, after the last append.

@@ -50,7 +50,9 @@ struct SphereLight {
         Vec3<F> l{residual(f.x, b, d.x), residual(f.y, b, d.y), residual(f.z, b, d.z)};
         l = l - d * dot(l, d);  // d is unit only up to rounding, and b is far longer than l
         const F r = row.size_u, discriminant = r * r - dot(l, l), root = safe_sqrt(discriminant);
-        const F near = b - root, far = b + root, t = select(near > F(0), near, far);
+        // the nearer root as product over sum, as sample() has it: b - root loses a short distance to a large sphere
+        const F distance = length(f), far = b + root, near = (distance - r) * (distance + r) / far;
+        const F t = select(near > F(0), near, far);
         return select(both(discriminant >= F(0), both(t > F(0), is_finite(t))), t, infinity<F>());
     }
 

@@ -32,6 +32,11 @@ struct MaterialTable {
     std::vector<LobeSet> lobe_set;
 
     template <class F>
+    [[nodiscard]] Rgb<F> load_emission(UInt<F> row) const {
+        return {gather<F>(emission[0].data(), row), gather<F>(emission[1].data(), row), gather<F>(emission[2].data(), row)};
+    }
+
+    template <class F>
     [[nodiscard]] SurfaceParameters<F> load(UInt<F> row) const {
         const auto column = [&](const std::vector<float>& c) { return gather<F>(c.data(), row); };
         return {{column(base[0]), column(base[1]), column(base[2])},

@@ -118,8 +118,14 @@ struct SurfaceColumns {
 struct ShadowColumns {
     Column3 origin, direction, contribution;
     Column<float> tfar;
+    Column<std::uint32_t> light;  // row of the light that is asked for
 
-    explicit ShadowColumns(std::size_t n) : origin(n), direction(n), contribution(n), tfar(make_column<float>(n)) {}
+    explicit ShadowColumns(std::size_t n)
+        : origin(n),
+          direction(n),
+          contribution(n),
+          tfar(make_column<float>(n)),
+          light(make_column<std::uint32_t>(n)) {}
 };
 
 // What each path brings back, by slot.

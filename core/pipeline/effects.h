@@ -34,7 +34,7 @@ struct EffectInfo {
 inline constexpr std::array<EffectInfo, 11> kEffects{{
     {Effect::specular, "specular", "GGX or mirror lobe over the diffuse one", "no material reflects specularly (ior 1, metallic 0)"},
     {Effect::coat, "coat", "second GGX lobe on top", "no material has clearcoat above 0"},
-    {Effect::emission, "emission", "emission stage", "no material emits"},
+    {Effect::emission, "emission", "emission stage, light samples", "no material emits"},
     {Effect::opacity, "opacity", "opacity numbers and a filter on rays", "every surface is opaque"},
     {Effect::vertex_color, "vertex_color", "colour lookup per hit", "no bound mesh takes its colour from a primvar"},
     {Effect::shading_normals, "shading_normals", "normal interpolation per hit", "no mesh has normals"},

@@ -9,9 +9,9 @@
 
 namespace footlight {
 
-enum class StageId { generate, opacity, sort, intersect, escape, light_hit, surface, emission, scatter, shadow, film };
+enum class StageId { generate, opacity, sort, intersect, escape, light_hit, emission, surface, scatter, shadow, film };
 inline constexpr std::array<std::string_view, 11> kStageNames{"generate",  "opacity", "sort", "intersect", "escape",  "light_hit",
-                                                              "surface", "emission", "scatter", "shadow", "film"};
+                                                              "emission", "surface", "scatter", "shadow", "film"};
 
 // What a guard caught. A count above 0 is a defect of the scene or of the renderer, and is shown.
 enum class Guard { bad_radiance, bad_weight, bad_direction, bad_pdf };

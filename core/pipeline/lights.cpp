@@ -1,4 +1,4 @@
-// Stages: light that paths run into, on lights (light_hit) and on the sky (escape).
+// Stages: light that paths run into, on lights (light_hit), emissive surfaces (emission) and the sky (escape).
 #include "light/mis.h"
 #include "pipeline/worker.h"
 
@@ -81,6 +81,36 @@ void light_hit(Worker& w) noexcept {
             w.samples.position.x[slot] = w.paths.origin.x[row] + w.paths.direction.x[row] * distance;
             w.samples.position.y[slot] = w.paths.origin.y[row] + w.paths.direction.y[row] * distance;
             w.samples.position.z[slot] = w.paths.origin.z[row] + w.paths.direction.z[row] * distance;
+        }
+    }
+}
+
+void emission(Worker& w) noexcept {
+    const CommittedScene& scene = w.scene;
+    const Geometry& geometry = scene.geometry;
+    const bool faces_are_lights = !geometry.light_of_triangle.empty();
+    for (RowList& list : w.by_lobe_set) {
+        list.pad();
+        for (std::size_t i = 0; i < list.count; i += kLanes) {
+            const UIntV hit = list.load(i);
+            const UIntV triangle = gather_uint<FloatV>(w.hits.id.data(), hit);
+            const UIntV mesh = gather_uint<FloatV>(geometry.mesh_of_triangle.data(), triangle);
+            const Rgb<FloatV> emitted =
+                scene.materials.load_emission<FloatV>(gather_uint<FloatV>(geometry.meshes.material.data(), mesh));
+            if (!any(max_component(emitted) > FloatV(0.0F))) continue;
+            const Arrivals a = load_arrivals(w, hit);
+            FloatV weight(1.0F);
+            if (faces_are_lights) {
+                const UIntV light = gather_uint<FloatV>(geometry.light_of_triangle.data(), triangle);
+                // Emission that is no light, of instances say, has no other strategy to share its weight with.
+                const Mask<FloatV> alone = equal<FloatV>(light, UIntV(kNoLight));
+                const UIntV row = select(alone, UIntV(0U), light);
+                const FloatV t = gather<FloatV>(w.hits.t.data(), hit);
+                const FloatV pdf = hit_light<FloatV>(scene.lights, row, a.origin, a.direction, t).pdf *
+                                   select_pmf<FloatV>(scene.lights, row);
+                weight = select(alone, weight, found_weight(scene.options.strategy, a.pdf, pdf));
+            }
+            add_radiance(w, a.path, a.throughput * emitted * weight, std::min<std::size_t>(kLanes, list.count - i));
         }
     }
 }

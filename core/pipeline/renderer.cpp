@@ -49,8 +49,29 @@ double filter_width(const RenderOptions& o) {
     return kPixelFilters[static_cast<std::size_t>(o.pixel_filter)].default_width;
 }
 
-LightTable build_lights(const Scene& scene, Vec3<double> origin, double scene_radius, Strategy strategy,
-                        std::vector<LeftOut>& left_out) {
+// Makes the opaque faces of the world's emissive meshes lights of the table, so that they can be sampled.
+void add_emissive_triangles(LightTable& table, Geometry& geometry, const std::vector<PreviewSurface>& materials) {
+    for (const TriangleRange& range : geometry.groups[0].ranges) {
+        if (range.has_opacity) continue;
+        for (std::uint32_t t = range.first; t < range.first + range.count; ++t) {
+            const PreviewSurface& material = materials[geometry.meshes.material[geometry.mesh_of_triangle[t]]];
+            if (!has_emission(material)) continue;
+            TriangleLightDesc desc;
+            desc.path = material.path;
+            desc.emission = {material.emissive_color.r, material.emissive_color.g, material.emissive_color.b};
+            for (std::size_t c = 0; c < 3; ++c) {
+                const float* p = &geometry.positions[std::size_t{geometry.indices[t * std::size_t{3} + c]} * 3];
+                desc.corners[c] = {p[0], p[1], p[2]};
+            }
+            if (!append_triangle(table, desc).empty()) continue;
+            geometry.light_of_triangle.resize(geometry.triangle_count(), kNoLight);
+            geometry.light_of_triangle[t] = table.size() - 1;
+        }
+    }
+}
+
+LightTable build_lights(const Scene& scene, Geometry& geometry, Vec3<double> origin, double scene_radius,
+                        Strategy strategy, std::vector<LeftOut>& left_out) {
     LightTable table;
     for (AnyLight light : scene.lights()) {
         LightDesc& desc = common(light);
@@ -58,6 +79,7 @@ LightTable build_lights(const Scene& scene, Vec3<double> origin, double scene_ra
         if (auto* dome = std::get_if<DomeLightDesc>(&light)) dome->compensate = strategy == Strategy::mis;
         if (const std::string reason = append(table, light); !reason.empty()) left_out.push_back({desc.path, reason});
     }
+    add_emissive_triangles(table, geometry, scene.materials());
     finalize(table, scene_radius);
     for (const LightInfo& info : table.info)
         if (!info.note.empty()) left_out.push_back({info.path, info.note});
@@ -111,7 +133,8 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
         geometry_ = build_geometry(scene, origin);
         left_out_ = geometry_.left_out;
         const double radius = std::max(geometry_.scene_radius(), light_extent(scene, origin));
-        lights_ = build_lights(scene, origin, radius > 0 ? radius : 1, options_.strategy, left_out_);  // nothing but sky has no size
+        // Nothing but sky has no size.
+        lights_ = build_lights(scene, geometry_, origin, radius > 0 ? radius : 1, options_.strategy, left_out_);
         accel_ = std::make_unique<Accel>(geometry_, lights_);
     });
     for (const std::uint32_t material : geometry_.meshes.material) lobe_set_of_mesh_.push_back(materials_.lobe_set[material]);

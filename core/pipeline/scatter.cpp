@@ -13,8 +13,8 @@ namespace {
 constexpr std::uint32_t kRouletteStart = 2;
 constexpr float kRouletteGain = 3.0F;
 constexpr float kRouletteFloor = 1e-3F;
-// Shadow rays end before the light by 64 roundings of the coordinates at their ends: enough that the light does not
-// shadow itself, and little enough that a cover close before it does.
+// Shadow rays end before the light by 64 roundings of the coordinates at their ends: a surface on which the light lies
+// does not shadow it, a cover close before it does. The light itself is left out by its row.
 constexpr float kShadowRounding = 0x1p-18F;
 
 // One group of surface points in registers.
@@ -71,6 +71,7 @@ void sample_towards_light(Worker& w, const Group& g, const Bsdf& bsdf) {
     s.direction.store(g.first, light.wi);
     const FloatV from_center = max(max(abs(g.origin.x), abs(g.origin.y)), abs(g.origin.z));
     (light.distance * FloatV(1.0F - kShadowRounding) - from_center * FloatV(kShadowRounding)).store_aligned(&s.tfar[g.first]);
+    choice.index.store_aligned(&s.light[g.first]);
     s.contribution.store(g.first, contribution);
     w.shadow_rays.push_lanes(static_cast<std::uint32_t>(g.first), bits);
 }

@@ -22,7 +22,8 @@ void shadow(Worker& w) noexcept {
                           nullptr,
                           s.tfar.data()};
     const double begin = thread_seconds();
-    scene.accel.occluded(rays, list.rows.data(), list.count, opacity ? w.opacity_u.data() : nullptr, w.occluded.data());
+    scene.accel.occluded(rays, list.rows.data(), list.count, s.light.data(), opacity ? w.opacity_u.data() : nullptr,
+                         w.occluded.data());
     w.ledger.embree_seconds += thread_seconds() - begin;
     w.ledger.shadow_rays += list.count;
     for (std::size_t i = 0; i < list.count; ++i) {

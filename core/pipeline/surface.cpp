@@ -1,4 +1,4 @@
-// Stages: from hits to surface points (surface), and the light these give off themselves (emission).
+// Stage: from hits to surface points: position, normals, colour, and how far off a new ray must start.
 #include <limits>
 
 #include "math/vec.h"
@@ -123,9 +123,9 @@ void surface(Worker& w) noexcept {
     SurfaceColumns& s = w.surfaces;
     w.surface_count = 0;
     for (RowRange& run : w.lobe_set_runs) run = {};
-    // On the last edge of a path surfaces matter only for their own light.
+    // Nothing is scattered at the end of the last edge; only camera rays still have AOVs to write.
     const bool last_edge = static_cast<int>(w.bounce) + 1 >= scene.options.max_depth;
-    if (last_edge && w.bounce > 0 && !scene.effects.active(Effect::emission)) return;
+    if (last_edge && w.bounce > 0) return;
 
     for (int set = 0; set < kLobeSets; ++set) {
         RowList& list = w.by_lobe_set[set];
@@ -191,17 +191,6 @@ void surface(Worker& w) noexcept {
             gather_uint<FloatV>(w.paths.slot.data(), path).store_aligned(&s.slot[out]);
         }
     }
-}
-
-void emission(Worker& w) noexcept {
-    const MaterialTable& materials = w.scene.materials;
-    for (const RowRange run : w.lobe_set_runs)
-        for (std::size_t i = run.begin; i < run.end; ++i) {
-            const std::uint32_t material = w.surfaces.material[i], slot = w.surfaces.slot[i];
-            w.samples.radiance.x[slot] += w.surfaces.throughput.x[i] * materials.emission[0][material];
-            w.samples.radiance.y[slot] += w.surfaces.throughput.y[i] * materials.emission[1][material];
-            w.samples.radiance.z[slot] += w.surfaces.throughput.z[i] * materials.emission[2][material];
-        }
 }
 
 }  // namespace footlight

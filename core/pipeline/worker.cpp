@@ -90,8 +90,8 @@ Pipeline assemble_pipeline(const CommittedScene& scene) {
     add(StageId::intersect, intersect);
     add(StageId::escape, escape, effects.active(Effect::dome) || effects.active(Effect::distant_lights));
     add(StageId::light_hit, light_hit, effects.active(Effect::area_lights));
-    add(StageId::surface, surface);
     add(StageId::emission, emission, effects.active(Effect::emission));
+    add(StageId::surface, surface);
     add(StageId::scatter, scatter);
     add(StageId::sort, sort_shadows, scene.sort_rays && scene.sample_lights);
     add(StageId::shadow, shadow, scene.sample_lights);

@@ -11,6 +11,8 @@ namespace footlight {
 // How a mesh's primvar is found for a corner of one of its triangles.
 enum class PrimvarLookup : std::uint32_t { none, per_point, per_corner, constant };
 
+inline constexpr std::uint32_t kNoLight = 0xFFFFFFFFU;
+
 // Per-mesh facts as columns, one row per committed mesh.
 struct MeshColumns {
     std::vector<std::uint32_t> material;
@@ -52,6 +54,10 @@ struct Geometry {
     std::vector<std::uint32_t> color_corners;
     std::vector<float> opacities;
     std::vector<std::uint32_t> opacity_corners;
+
+    // Row of the light each triangle is, or kNoLight; empty when nothing in the world emits. Faces of prototypes and of
+    // partly opaque meshes are no lights: rays find their emission by chance.
+    std::vector<std::uint32_t> light_of_triangle;
 
     std::vector<TriangleGroup> groups;
     std::vector<PlacedInstance> instances;

@@ -97,6 +97,6 @@ def test_f11_foreign_states_are_refused() -> None:
     other = scenes.run(scenes.room(), spp=4, width=16, height=32)
     state: bytes = here.state()
     for wrong in (other.state(), b"", b"no film", state[:-1], state[: len(state) // 2], state + b"x"):
-        with pytest.raises(ValueError, match="film|state"):
+        with pytest.raises(ValueError, match=r"film|state"):
             here.merge(wrong)
         assert np.array_equal(before, here.read("color"))

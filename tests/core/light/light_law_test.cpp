@@ -66,6 +66,11 @@ LightTable family(double unit = 1, double light = 1) {
     dome.width = 8;
     dome.height = 4;
     accepted(append_dome(table, dome));
+    auto triangle = common(TriangleLightDesc{}, tilted());
+    const Vector corner = translation(triangle.transform);
+    triangle.corners = {corner, corner + row(triangle.transform, 0) * (1.2 * unit),
+                        corner + (row(triangle.transform, 0) * 0.3 + row(triangle.transform, 1) * 0.8) * unit};
+    accepted(append_triangle(table, triangle));
     finalize(table, 10 * unit);
     return table;
 }
