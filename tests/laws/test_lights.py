@@ -1,6 +1,7 @@
 """Laws about light: closed forms at any size and distance, domes at their poles, lights of no or negative power."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,18 @@ def test_l03_rect_light_anywhere(x: float, z: float, width: float, height: float
         + corner_irradiance(low, near)
     ) / math.pi
     assert_radiance(plate(scenes.rect(down, width, height)), expected, 2e-3, strategy=strategy, spp=1024)
+
+
+@pytest.mark.parametrize("strategy", ["mis", "light", "bsdf"])
+@pytest.mark.parametrize("instanced", [False, True])
+def test_glowing_mesh_is_a_light_of_its_shape(instanced: bool, strategy: str) -> None:
+    """A glowing quad sends what a rect light of the same radiance sends, found by light samples or by chance."""
+    glow = Material((0.0, 0.0, 0.0), emissive_color=(2.0, 2.0, 2.0))
+    panel = scenes.quad((-0.5, 0, -0.25), (1, 0, 0), (0, 0, 0.5), glow)
+    places = [scenes.translate(0.0, 1.0, 0.0)] + [scenes.translate(0.0, -500.0, 0.0)] * instanced
+    bare = plate()
+    stage = Stage(bare.camera, (*bare.meshes, replace(panel, transforms=np.stack(places))), (), max_depth=2)
+    assert_radiance(stage, 8 * corner_irradiance(0.5, 0.25) / math.pi, 2e-3, strategy=strategy, spp=4096)
 
 
 def tube_irradiance(radius: float, length: float, height: float) -> float:

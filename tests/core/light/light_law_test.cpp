@@ -118,15 +118,19 @@ TEST(LightLaw, WhatIsSampledIsWhatARayFinds) {
             }
 }
 
-// Distance to the light along a ray, in double: rects by their plane, the others by their own intersection.
+// Distance to the light along a ray, in double: flat faces that scenes hold as triangles by their plane, the others by
+// their own intersection.
 double distance_along(const LightTable& table, std::uint32_t light, Vector p, Vector wi) {
-    if (table.info[light].kind != LightKind::rect) return intersect_light<double>(table, light, p, wi);
+    const LightKind kind = table.info[light].kind;
+    if (kind != LightKind::rect && kind != LightKind::triangle) return intersect_light<double>(table, light, p, wi);
     const LightRow<double> row = broadcast_row<double>(table, light);
     const double t = dot(row.center - p, row.n) / dot(wi, row.n);
     const Vector q = p + wi * t - row.center;
-    // coordinates along axes that need not be at right angles
+    // coordinates along axes that need not be at right angles, in units of their sizes
     const double uv = dot(row.u, row.v), det = 1 - uv * uv, a = dot(q, row.u), b = dot(q, row.v);
-    const bool inside = std::abs(a - uv * b) <= row.size_u * det && std::abs(b - uv * a) <= row.size_v * det;
+    const double along_u = (a - uv * b) / (det * row.size_u), along_v = (b - uv * a) / (det * row.size_v);
+    const bool inside = kind == LightKind::rect ? std::max(std::abs(along_u), std::abs(along_v)) <= 1
+                                                : std::min(along_u, along_v) >= 0 && along_u + along_v <= 1;
     return t > 0 && inside ? t : INFINITY;
 }
 
