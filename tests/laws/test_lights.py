@@ -233,13 +233,13 @@ def test_s14_half_transparent_cards_multiply() -> None:
     half = Material((0.0, 0.0, 0.0), opacity=0.5)
     cards = tuple(scenes.quad((-2, 0.25 + 0.0625 * k, 2), (4, 0, 0), (0, 0, -4), half) for k in range(8))
     up = Camera(scenes.look_at((0.0, 0.0, 0.0), (1e-3, 1.0, 0.0)), focal_length=360.0)
-    through = scenes.replicates(Stage(up, cards, (scenes.dome(),)), 16, spp=1024).mean((1, 2, 3))
+    through = scenes.replicates(Stage(up, cards, (scenes.dome(),)), 16, spp=256).mean((1, 2, 3))
     assert abs(through.mean() - 2.0**-8) < 6.0 * through.std(ddof=1) / 4
     lit = plate(scenes.sun(scenes.rotate("x", -90), 0.0, normalize=True))
     under = Camera(scenes.look_at((0.75, 0.125, 0.0), (0.0, 0.0, 0.0)), focal_length=3.6e5)
     for strategy in ("mis", "light"):
         floor = Stage(under, (*lit.meshes, *cards), lit.lights, max_depth=2)
-        mean = scenes.replicates(floor, 16, spp=1024, strategy=strategy).mean((1, 2, 3))
+        mean = scenes.replicates(floor, 16, spp=256, strategy=strategy).mean((1, 2, 3))
         assert abs(mean.mean() * math.pi - 2.0**-8) < 6.0 * math.pi * mean.std(ddof=1) / 4
 
 

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+from pathlib import Path
 from types import ModuleType
 
 _LEVELS = (
@@ -12,7 +13,7 @@ _LEVELS = (
 
 
 def _processor_flags() -> set[str]:
-    with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
+    with Path("/proc/cpuinfo").open(encoding="ascii", errors="replace") as lines:
         for line in lines:
             if line.startswith("flags"):
                 return set(line.split(":", 1)[1].split())
