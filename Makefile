@@ -94,7 +94,7 @@ $(STAMPS)/server: server/pyproject.toml $(STAMPS)/core $(STAMPS)/client
 lint: $(STAMPS)/python ## Formatters and linters, nothing is changed
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	clang-format-15 --dry-run --Werror $(CPP_FILES)
+	@echo clang-format-15 --dry-run --Werror …; clang-format-15 --dry-run --Werror $(CPP_FILES)
 	$(BIN)/buf lint
 
 .PHONY: format

@@ -1,9 +1,9 @@
 // Ray queries against the committed geometry, on Embree.
 #include "accel/accel.h"
 
-#include <bit>
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <limits>
 #include <new>
 #include <stdexcept>
@@ -31,7 +31,7 @@ bool is_curved(LightKind kind) {
 // What an Embree geometry of one scene stands for.
 struct GeometryEntry {
     bool is_light = false;
-    std::uint32_t first_triangle = 0;           // triangles: id = first_triangle + primID
+    std::uint32_t first_triangle = 0;               // triangles: id = first_triangle + primID
     std::vector<std::uint32_t> light_of_primitive;  // lights: the light's row
 };
 
@@ -126,7 +126,8 @@ struct Accel::Impl {
         rtcSetSharedGeometryBuffer(handle, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, geometry.positions.data(), 0,
                                    3 * sizeof(float), geometry.positions.size() / 3 - 1);
         rtcSetSharedGeometryBuffer(handle, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, geometry.indices.data(),
-                                   std::size_t{range.first} * 3 * sizeof(std::uint32_t), 3 * sizeof(std::uint32_t), range.count);
+                                   std::size_t{range.first} * 3 * sizeof(std::uint32_t), 3 * sizeof(std::uint32_t),
+                                   range.count);
         rtcSetGeometryMask(handle, visibility_mask(visible));
         if (range.has_opacity) {
             rtcSetGeometryUserData(handle, this);
@@ -147,11 +148,12 @@ struct Accel::Impl {
         }
         if (corners.empty()) return;
         RTCGeometry handle = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-        auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(handle, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                                                                     3 * sizeof(float), corners.size() / 3));
+        auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(
+            handle, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 3 * sizeof(float), corners.size() / 3));
         std::copy(corners.begin(), corners.end(), vertices);
-        auto* indices = static_cast<std::uint32_t*>(rtcSetNewGeometryBuffer(
-            handle, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 3 * sizeof(std::uint32_t), entry.light_of_primitive.size()));
+        auto* indices = static_cast<std::uint32_t*>(rtcSetNewGeometryBuffer(handle, RTC_BUFFER_TYPE_INDEX, 0,
+                                                                            RTC_FORMAT_UINT3, 3 * sizeof(std::uint32_t),
+                                                                            entry.light_of_primitive.size()));
         for (std::uint32_t rect = 0; rect < corners.size() / 12; ++rect)
             for (const std::uint32_t corner : {0U, 1U, 2U, 0U, 2U, 3U}) *indices++ = rect * 4 + corner;
         rtcSetGeometryMask(handle, visibility_mask(visible));
@@ -184,7 +186,8 @@ struct Accel::Impl {
         rtcSetGeometryUserPrimitiveCount(handle, static_cast<unsigned>(entry.light_of_primitive.size()));
         rtcSetGeometryUserData(handle, this);
         world_entries.push_back(std::move(entry));
-        // Callbacks find their light through world_entries: the geometry's id in the world is not known to the bounds one.
+        // Callbacks find their light through world_entries: the geometry's id in the world is not known to the bounds
+        // one.
         rtcSetGeometryBoundsFunction(handle, visible ? bounds_of<true> : bounds_of<false>, nullptr);
         rtcSetGeometryIntersectFunction(handle, intersect_light<true>);
         rtcSetGeometryOccludedFunction(handle, intersect_light<false>);
@@ -249,9 +252,11 @@ struct Accel::Impl {
         }
     }
     template <bool Closest>
-    static void intersect_light(const std::conditional_t<Closest, RTCIntersectFunctionNArguments, RTCOccludedFunctionNArguments>* args) {
+    static void intersect_light(
+        const std::conditional_t<Closest, RTCIntersectFunctionNArguments, RTCOccludedFunctionNArguments>* args) {
         if constexpr (Closest)
-            intersect_light_rays<true>(args, RTCRayHitN_RayN(args->rayhit, args->N), RTCRayHitN_HitN(args->rayhit, args->N));
+            intersect_light_rays<true>(args, RTCRayHitN_RayN(args->rayhit, args->N),
+                                       RTCRayHitN_HitN(args->rayhit, args->N));
         else
             intersect_light_rays<false>(args, args->ray, nullptr);
     }
@@ -264,8 +269,10 @@ struct Accel::Impl {
         if (kind == PrimvarLookup::constant) return geometry.opacities[base];
         float corner[3];
         for (std::uint32_t c = 0; c < 3; ++c)
-            corner[c] = geometry.opacities[kind == PrimvarLookup::per_point ? base + geometry.indices[triangle * std::size_t{3} + c]
-                                                                          : geometry.opacity_corners[base + triangle * 3 + c]];
+            corner[c] =
+                geometry
+                    .opacities[kind == PrimvarLookup::per_point ? base + geometry.indices[triangle * std::size_t{3} + c]
+                                                                : geometry.opacity_corners[base + triangle * 3 + c]];
         return (1.0F - u - v) * corner[0] + u * corner[1] + v * corner[2];
     }
 
@@ -281,7 +288,8 @@ struct Accel::Impl {
             const GeometryEntry& entry = self->entry_of(instance_id, RTCHitN_geomID(args->hit, n, i));
             const std::uint32_t triangle = entry.first_triangle + RTCHitN_primID(args->hit, n, i);
             const float opacity = self->opacity_at(triangle, RTCHitN_u(args->hit, n, i), RTCHitN_v(args->hit, n, i));
-            // A hash of both: with a number shifted per triangle, the layers that one ray crosses would not be independent.
+            // A hash of both: with a number shifted per triangle, the layers that one ray crosses would not be
+            // independent.
             const auto ray = std::bit_cast<std::uint32_t>(context->opacity_u[RTCRayN_id(args->ray, n, i)]);
             const float u = to_unit<float>(mix_bits(ray ^ mix_bits(triangle * 0x9e3779b9U ^ mix_bits(instance_id))));
             if (u >= opacity) args->valid[i] = 0;
@@ -350,7 +358,8 @@ void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::si
             const GeometryEntry& entry = impl.entry_of(instance_id, geometry_id);
             hits.id[i + k] = entry.is_light ? kLightBit | entry.light_of_primitive[packet.hit.primID[k]]
                                             : entry.first_triangle + packet.hit.primID[k];
-            hits.instance[i + k] = instance_id == RTC_INVALID_GEOMETRY_ID ? 0 : instance_id - impl.first_instance_id + 1;
+            hits.instance[i + k] =
+                instance_id == RTC_INVALID_GEOMETRY_ID ? 0 : instance_id - impl.first_instance_id + 1;
             hits.t[i + k] = packet.ray.tfar[k];
             hits.u[i + k] = packet.hit.u[k];
             hits.v[i + k] = packet.hit.v[k];

@@ -37,7 +37,7 @@ struct HitColumns {
 };
 
 class Accel {
-public:
+  public:
     // geometry and lights are referred to, not copied: they must outlive the Accel.
     // Builds with the threads of the calling task arena.
     Accel(const Geometry& geometry, const LightTable& lights);
@@ -46,12 +46,13 @@ public:
     Accel& operator=(const Accel&) = delete;
 
     // Nearest hit of rays[list[i]], i in [0, count), written to hits at i. The list is readable to the next multiple of
-    // kLanes. opacity_u: column of numbers in [0, 1) that decide partly opaque surfaces, or null when nothing is partly opaque.
+    // kLanes. opacity_u: column of numbers in [0, 1) that decide partly opaque surfaces, or null when nothing is partly
+    // opaque.
     void intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind,
                    const float* opacity_u, const HitColumns& hits) const noexcept;
 
-    // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0. light: column of the rows of the lights
-    // that the rays ask for; no light shadows itself.
+    // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0. light: column of the rows of the
+    // lights that the rays ask for; no light shadows itself.
     void occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const std::uint32_t* light,
                   const float* opacity_u, std::uint8_t* occluded) const noexcept;
 
@@ -59,7 +60,7 @@ public:
     [[nodiscard]] std::size_t bytes() const;
     [[nodiscard]] static std::string embree_version();
 
-private:
+  private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 };

@@ -112,8 +112,8 @@ std::vector<float> Film::read(Aov aov, int x0, int y0, int width, int height) co
             for (int tx = 0; tx < columns; ++tx) tiles.push_back(tile_variance(first_x + tx, first_y + ty));
         for (int y = y0; y < y0 + height; ++y)
             for (int x = x0; x < x0 + width; ++x) {
-                const auto& tile = tiles[static_cast<std::size_t>((y / kErrorTile - first_y) * columns +
-                                                                  x / kErrorTile - first_x)];
+                const auto& tile =
+                    tiles[static_cast<std::size_t>((y / kErrorTile - first_y) * columns + x / kErrorTile - first_x)];
                 for (const double v : tile.variance) *out++ = static_cast<float>(std::sqrt(v));
             }
         return image;
@@ -132,10 +132,12 @@ std::vector<float> Film::read(Aov aov, int x0, int y0, int width, int height) co
                     *out++ = static_cast<float>(alpha_[pixel].value() * scale);
                     break;
                 case Aov::normal:
-                    for (std::size_t c = 0; c < 3; ++c) *out++ = static_cast<float>(normal_[pixel * 3 + c].value() * scale);
+                    for (std::size_t c = 0; c < 3; ++c)
+                        *out++ = static_cast<float>(normal_[pixel * 3 + c].value() * scale);
                     break;
                 case Aov::albedo:
-                    for (std::size_t c = 0; c < 3; ++c) *out++ = static_cast<float>(albedo_[pixel * 3 + c].value() * scale);
+                    for (std::size_t c = 0; c < 3; ++c)
+                        *out++ = static_cast<float>(albedo_[pixel * 3 + c].value() * scale);
                     break;
                 case Aov::depth:
                     *out++ = nearest_[pixel].depth;

@@ -23,15 +23,15 @@ struct SampleColumns {
     std::array<const float*, 3> position;  // relative to the render origin
 };
 
-// Relative standard error of a pixel: sqrt(mean variance of a 16x16 tile) / mean of the tile, or a tenth of the image's mean
-// where the tile is darker than that.
+// Relative standard error of a pixel: sqrt(mean variance of a 16x16 tile) / mean of the tile, or a tenth of the image's
+// mean where the tile is darker than that.
 struct FilmError {
     double mean;  // over tiles; NaN before both replicates have samples
     double p95;   // 95th percentile over tiles
 };
 
 class Film {
-public:
+  public:
     // origin: the render origin in world space, added back to the position AOV.
     Film(int width, int height, AovSet aovs, Vec3<double> origin);
 
@@ -50,7 +50,7 @@ public:
     [[nodiscard]] std::string state() const;
     void merge(const std::string& state);
 
-private:
+  private:
     struct Replicates {
         ExactSum sum[2][3];
         std::uint64_t count[2] = {0, 0};

@@ -1,4 +1,5 @@
-// Pixel filters by importance sampling: a sample belongs to one pixel, its position follows the filter (Ernst et al. 2006).
+// Pixel filters by importance sampling: a sample belongs to one pixel, its position follows the filter (Ernst et al.
+// 2006).
 #pragma once
 
 #include <array>
@@ -43,7 +44,7 @@ inline double filter_profile(PixelFilter filter, double t) {
 
 // The inverse of the filter's cumulative distribution along one axis; the filters are separable.
 class FilterSampler {
-public:
+  public:
     FilterSampler(PixelFilter filter, double width) {
         constexpr int kSteps = 1 << 16;
         std::array<double, kEntries + 1> inverse{};
@@ -74,7 +75,7 @@ public:
         return a + (b - a) * t;
     }
 
-private:
+  private:
     static constexpr int kEntries = 1024;
     std::array<float, kEntries + 1> offset_{};
 };

@@ -29,9 +29,8 @@ namespace footlight {
 
 // The closed list, in the order of LightKind.
 template <class F>
-using LightTypes =
-    std::tuple<RectLight<F>, DiskLight<F>, SphereLight<F>, CylinderLight<F>, DistantLight<F>, DomeLight<F>,
-               TriangleLight<F>>;
+using LightTypes = std::tuple<RectLight<F>, DiskLight<F>, SphereLight<F>, CylinderLight<F>, DistantLight<F>,
+                              DomeLight<F>, TriangleLight<F>>;
 
 // Calls visit.operator()<Light>() for every light type whose kind is in the mask.
 template <class F, class Visit>

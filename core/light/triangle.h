@@ -5,7 +5,8 @@
 
 namespace footlight {
 
-// Row: center one corner; u, v the unit edges from it; n unit normal; size_u, size_v the edges' lengths; density 1 / area.
+// Row: center one corner; u, v the unit edges from it; n unit normal; size_u, size_v the edges' lengths; density 1 /
+// area.
 template <class F>
 struct TriangleLight {
     static constexpr LightKind kind = LightKind::triangle;
@@ -25,7 +26,7 @@ struct TriangleLight {
         return answer(row, row.center - p, distance);
     }
 
-private:
+  private:
     static LightHit<F> answer(const LightRow<F>& row, Vec3<F> to_corner, F distance) {
         const F height = abs(dot(to_corner, row.n));  // of the shaded point above the plane
         return hit_where(height > F(0), row.radiance, distance * distance * (distance / height) * row.density);

@@ -16,13 +16,13 @@ inline constexpr int kLobeSets = 6;
 // One row of the table, over any number type.
 template <class F>
 struct SurfaceParameters {
-    Rgb<F> base;       // diffuse_color, or the mesh's own colour
-    F diffuse_scale;   // diffuse reflectance = base * diffuse_scale
-    Rgb<F> f0;         // specular f0 = f0 + base * base_to_f0
+    Rgb<F> base;      // diffuse_color, or the mesh's own colour
+    F diffuse_scale;  // diffuse reflectance = base * diffuse_scale
+    Rgb<F> f0;        // specular f0 = f0 + base * base_to_f0
     F base_to_f0;
-    F f90;             // 0 where there is no specular lobe
-    F alpha;           // GGX roughness, roughness^2
-    F coat;            // clearcoat weight
+    F f90;    // 0 where there is no specular lobe
+    F alpha;  // GGX roughness, roughness^2
+    F coat;   // clearcoat weight
     F coat_alpha;
 };
 
@@ -33,7 +33,8 @@ struct MaterialTable {
 
     template <class F>
     [[nodiscard]] Rgb<F> load_emission(UInt<F> row) const {
-        return {gather<F>(emission[0].data(), row), gather<F>(emission[1].data(), row), gather<F>(emission[2].data(), row)};
+        return {gather<F>(emission[0].data(), row), gather<F>(emission[1].data(), row),
+                gather<F>(emission[2].data(), row)};
     }
 
     template <class F>

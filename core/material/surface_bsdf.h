@@ -1,8 +1,8 @@
 // The stack of lobes of one surface: coat over specular over diffuse, chosen one at a time in proportion to albedo.
 //
-// Layers: f = coat * f_coat + (1 - coat * E_coat) (f_spec + (1 - E_spec) f_diffuse), E the directional albedo at wo (albedo
-// scaling, so that a white surface reflects all and none reflects more). One-sample MIS over lobes: Villemin 2015, section on
-// one-sample MIS; Veach 1997, eq. 9.15: f / (sum of p_i pdf_i), whichever lobe was drawn.
+// Layers: f = coat * f_coat + (1 - coat * E_coat) (f_spec + (1 - E_spec) f_diffuse), E the directional albedo at wo
+// (albedo scaling, so that a white surface reflects all and none reflects more). One-sample MIS over lobes: Villemin
+// 2015, section on one-sample MIS; Veach 1997, eq. 9.15: f / (sum of p_i pdf_i), whichever lobe was drawn.
 #pragma once
 
 #include <type_traits>
@@ -26,8 +26,8 @@ struct SurfaceEval {
 template <class F>
 struct SurfaceSample {
     Vec3<F> wi;
-    Rgb<F> weight;     // f / pdf; 0 where the sample failed
-    F pdf;             // [1/sr]; 0 where is_delta
+    Rgb<F> weight;  // f / pdf; 0 where the sample failed
+    F pdf;          // [1/sr]; 0 where is_delta
     Mask<F> is_delta;
     Mask<F> valid;
 };
@@ -37,7 +37,7 @@ inline constexpr float kCoatF0 = 0.04F;
 
 template <class F, class Specular, class Coat>
 class SurfaceBsdf {
-public:
+  public:
     static constexpr bool has_specular = !std::is_same_v<Specular, NoLobe>;
     static constexpr bool has_mirror = std::is_same_v<Specular, Mirror<F>>;
     static constexpr bool has_coat = !std::is_same_v<Coat, NoLobe>;
@@ -121,10 +121,8 @@ public:
         return s;
     }
 
-private:
-    static Rgb<F> one_minus(Rgb<F> a) {
-        return {max(F(1) - a.r, F(0)), max(F(1) - a.g, F(0)), max(F(1) - a.b, F(0))};
-    }
+  private:
+    static Rgb<F> one_minus(Rgb<F> a) { return {max(F(1) - a.r, F(0)), max(F(1) - a.g, F(0)), max(F(1) - a.b, F(0))}; }
     static Mask<F> select_mask(Mask<F> m, Mask<F> a, Mask<F> b) { return (m & a) | ((!m) & b); }
 
     void choose_lobes() {

@@ -1,7 +1,8 @@
 // Random numbers with names: Owen-scrambled Sobol' pairs, one independent pair per (pixel, bounce, purpose).
 //
 // Nothing consumes numbers by counting, so an absent effect moves no other effect's numbers.
-// Scrambling: Burley 2020, "Practical Hash-based Owen Scrambling"; hash constants: Vegdahl 2021, "Building a Better LK Hash".
+// Scrambling: Burley 2020, "Practical Hash-based Owen Scrambling"; hash constants: Vegdahl 2021, "Building a Better LK
+// Hash".
 #pragma once
 
 #include "math/simd.h"
@@ -9,7 +10,17 @@
 namespace footlight {
 
 // The purposes a path draws numbers for. The order is part of the image: append, never reorder.
-enum class Dim : std::uint32_t { pixel, lens, light_choice, light_uv, lobe_choice, lobe_uv, roulette, opacity, shadow_opacity };
+enum class Dim : std::uint32_t {
+    pixel,
+    lens,
+    light_choice,
+    light_uv,
+    lobe_choice,
+    lobe_uv,
+    roulette,
+    opacity,
+    shadow_opacity
+};
 
 template <class F>
 struct Uniform2 {
@@ -62,7 +73,8 @@ inline U sobol_second(U first) {
     return x ^ ((x << 16) & U(0xFFFF0000U));
 }
 
-// Identity of one path for the sampler: which pixel and replicate (key), which point of their sequence (index, bit-reversed).
+// Identity of one path for the sampler: which pixel and replicate (key), which point of their sequence (index,
+// bit-reversed).
 template <class F>
 struct PathKey {
     UInt<F> key;

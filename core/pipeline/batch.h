@@ -14,7 +14,9 @@ template <class T>
 using Column = std::vector<T, xsimd::aligned_allocator<T, kAlignment>>;
 
 template <class T>
-inline Column<T> make_column(std::size_t rows) { return Column<T>(rows + kLanes); }
+inline Column<T> make_column(std::size_t rows) {
+    return Column<T>(rows + kLanes);
+}
 
 // Three columns of a vector or a colour.
 struct Column3 {
@@ -79,12 +81,18 @@ inline std::uint32_t lanes_below(std::size_t i, std::size_t count) {
 // Rays on their way, one row per living path.
 struct PathColumns {
     Column3 origin, direction, throughput;
-    Column<float> pdf;  // of the direction, from the surface that scattered it [1/sr]; 0: nothing else could have drawn it
+    Column<float>
+        pdf;  // of the direction, from the surface that scattered it [1/sr]; 0: nothing else could have drawn it
     Column<std::uint32_t> key, reversed_index, slot;
 
     explicit PathColumns(std::size_t n)
-        : origin(n), direction(n), throughput(n), pdf(make_column<float>(n)), key(make_column<std::uint32_t>(n)),
-          reversed_index(make_column<std::uint32_t>(n)), slot(make_column<std::uint32_t>(n)) {}
+        : origin(n),
+          direction(n),
+          throughput(n),
+          pdf(make_column<float>(n)),
+          key(make_column<std::uint32_t>(n)),
+          reversed_index(make_column<std::uint32_t>(n)),
+          slot(make_column<std::uint32_t>(n)) {}
 };
 
 // What the rays met.
@@ -93,8 +101,11 @@ struct HitRows {
     Column<float> t, u, v;
 
     explicit HitRows(std::size_t n)
-        : id(make_column<std::uint32_t>(n)), instance(make_column<std::uint32_t>(n)), t(make_column<float>(n)),
-          u(make_column<float>(n)), v(make_column<float>(n)) {}
+        : id(make_column<std::uint32_t>(n)),
+          instance(make_column<std::uint32_t>(n)),
+          t(make_column<float>(n)),
+          u(make_column<float>(n)),
+          v(make_column<float>(n)) {}
 };
 
 // Surface points, sorted by lobe set.
@@ -109,9 +120,17 @@ struct SurfaceColumns {
     Column<std::uint32_t> material, key, reversed_index, slot;
 
     explicit SurfaceColumns(std::size_t n)
-        : position(n), wo(n), geometric(n), shading(n), color(n), throughput(n), offset(make_column<float>(n)),
-          material(make_column<std::uint32_t>(n)), key(make_column<std::uint32_t>(n)),
-          reversed_index(make_column<std::uint32_t>(n)), slot(make_column<std::uint32_t>(n)) {}
+        : position(n),
+          wo(n),
+          geometric(n),
+          shading(n),
+          color(n),
+          throughput(n),
+          offset(make_column<float>(n)),
+          material(make_column<std::uint32_t>(n)),
+          key(make_column<std::uint32_t>(n)),
+          reversed_index(make_column<std::uint32_t>(n)),
+          slot(make_column<std::uint32_t>(n)) {}
 };
 
 // Rays towards lights, one per row of surfaces, and what they bring if nothing is in the way.
@@ -121,11 +140,7 @@ struct ShadowColumns {
     Column<std::uint32_t> light;  // row of the light that is asked for
 
     explicit ShadowColumns(std::size_t n)
-        : origin(n),
-          direction(n),
-          contribution(n),
-          tfar(make_column<float>(n)),
-          light(make_column<std::uint32_t>(n)) {}
+        : origin(n), direction(n), contribution(n), tfar(make_column<float>(n)), light(make_column<std::uint32_t>(n)) {}
 };
 
 // What each path brings back, by slot.
@@ -135,8 +150,12 @@ struct SampleRows {
     Column3 normal, albedo, position;
 
     SampleRows(std::size_t n, bool with_aovs)
-        : radiance(n), alpha(make_column<float>(n)), depth(make_column<float>(n)), normal(with_aovs ? n : 0),
-          albedo(with_aovs ? n : 0), position(with_aovs ? n : 0) {}
+        : radiance(n),
+          alpha(make_column<float>(n)),
+          depth(make_column<float>(n)),
+          normal(with_aovs ? n : 0),
+          albedo(with_aovs ? n : 0),
+          position(with_aovs ? n : 0) {}
 };
 
 // Where a path's sample goes.

@@ -8,12 +8,12 @@ namespace footlight {
 
 // The camera in the render's own space: its position is the origin.
 struct CameraRays {
-    Vec3<float> right, up, back;      // unit axes
-    float scale_x, offset_x;          // raster x -> slope along `right`
-    float scale_y, offset_y;          // raster y (down) -> slope along `up`
+    Vec3<float> right, up, back;        // unit axes
+    float scale_x, offset_x;            // raster x -> slope along `right`
+    float scale_y, offset_y;            // raster y (down) -> slope along `up`
     float near_distance, far_distance;  // along the view axis [stage units]
-    float lens_radius;                // [stage units]
-    float inverse_focus;              // 1 / focus distance [1 / stage unit]
+    float lens_radius;                  // [stage units]
+    float inverse_focus;                // 1 / focus distance [1 / stage unit]
 };
 
 inline CameraRays make_camera_rays(const Camera& camera, int width, int height) {

@@ -11,9 +11,7 @@ namespace footlight {
 
 namespace {
 
-bool is_light_effect(Effect e) {
-    return e == Effect::area_lights || e == Effect::distant_lights || e == Effect::dome;
-}
+bool is_light_effect(Effect e) { return e == Effect::area_lights || e == Effect::distant_lights || e == Effect::dome; }
 
 void force(Effects& effects, const std::string& name) {
     bool found = name == "all";
@@ -70,8 +68,7 @@ Effects derive_effects(const Scene& scene, const std::vector<std::string>& force
     }
     const Camera& camera = scene.camera();
     if (camera.f_stop > 0 && camera.focus_distance > 0) call(Effect::depth_of_field, camera.path);
-    for (const AnyLight& light : scene.lights())
-        call(effect_of(light), common(light).path);
+    for (const AnyLight& light : scene.lights()) call(effect_of(light), common(light).path);
     for (const std::string& name : forced) force(effects, name);
     return effects;
 }

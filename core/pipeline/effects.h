@@ -27,12 +27,13 @@ enum class Effect {
 struct EffectInfo {
     Effect effect;
     std::string_view name;
-    std::string_view adds;     // what runs because of it
-    std::string_view absent;   // why it is not needed when it is not
+    std::string_view adds;    // what runs because of it
+    std::string_view absent;  // why it is not needed when it is not
 };
 
 inline constexpr std::array<EffectInfo, 11> kEffects{{
-    {Effect::specular, "specular", "GGX or mirror lobe over the diffuse one", "no material reflects specularly (ior 1, metallic 0)"},
+    {Effect::specular, "specular", "GGX or mirror lobe over the diffuse one",
+     "no material reflects specularly (ior 1, metallic 0)"},
     {Effect::coat, "coat", "second GGX lobe on top", "no material has clearcoat above 0"},
     {Effect::emission, "emission", "emission stage, light samples", "no material emits"},
     {Effect::opacity, "opacity", "opacity numbers and a filter on rays", "every surface is opaque"},
@@ -47,8 +48,8 @@ inline constexpr std::array<EffectInfo, 11> kEffects{{
 
 struct EffectState {
     bool called_for = false;
-    bool forced = false;              // runs although nothing calls for it; the image must not change
-    std::vector<std::string> paths;   // who asked, at most kMaxPaths of them
+    bool forced = false;             // runs although nothing calls for it; the image must not change
+    std::vector<std::string> paths;  // who asked, at most kMaxPaths of them
     std::size_t path_count = 0;
 
     static constexpr std::size_t kMaxPaths = 16;
@@ -61,8 +62,8 @@ struct Effects {
     [[nodiscard]] bool active(Effect e) const { return (*this)[e].active(); }
 };
 
-// forced: names of effects to run regardless, or "all". Throws std::invalid_argument for an unknown name. Lights cannot be
-// forced: without one there is nothing to run.
+// forced: names of effects to run regardless, or "all". Throws std::invalid_argument for an unknown name. Lights cannot
+// be forced: without one there is nothing to run.
 Effects derive_effects(const Scene& scene, const std::vector<std::string>& forced);
 
 }  // namespace footlight

@@ -14,8 +14,8 @@ void intersect(Worker& w) noexcept {
     const HitColumns hits{w.hits.id.data(), w.hits.instance.data(), w.hits.t.data(), w.hits.u.data(), w.hits.v.data()};
     const float* opacity_u = scene.effects.active(Effect::opacity) ? w.opacity_u.data() : nullptr;
     const double begin = thread_seconds();
-    scene.accel.intersect(rays, w.living.rows.data(), w.living.count, camera ? RayKind::camera : RayKind::bounce, opacity_u,
-                          hits);
+    scene.accel.intersect(rays, w.living.rows.data(), w.living.count, camera ? RayKind::camera : RayKind::bounce,
+                          opacity_u, hits);
     w.ledger.embree_seconds += thread_seconds() - begin;
     w.ledger.closest_rays += w.living.count;
 
@@ -26,9 +26,12 @@ void intersect(Worker& w) noexcept {
     const LobeSet* lobe_set_of_mesh = scene.lobe_set_of_mesh.data();
     for (std::uint32_t i = 0; i < w.living.count; ++i) {
         const std::uint32_t id = w.hits.id[i];
-        if (id == kMiss) w.misses.push(i);
-        else if ((id & kLightBit) != 0) w.light_hits.push(i);
-        else w.by_lobe_set[static_cast<std::size_t>(lobe_set_of_mesh[mesh_of_triangle[id]])].push(i);
+        if (id == kMiss)
+            w.misses.push(i);
+        else if ((id & kLightBit) != 0)
+            w.light_hits.push(i);
+        else
+            w.by_lobe_set[static_cast<std::size_t>(lobe_set_of_mesh[mesh_of_triangle[id]])].push(i);
     }
 }
 

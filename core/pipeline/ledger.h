@@ -10,8 +10,9 @@
 namespace footlight {
 
 enum class StageId { generate, opacity, sort, intersect, escape, light_hit, emission, surface, scatter, shadow, film };
-inline constexpr std::array<std::string_view, 11> kStageNames{"generate",  "opacity", "sort", "intersect", "escape",  "light_hit",
-                                                              "emission", "surface", "scatter", "shadow", "film"};
+inline constexpr std::array<std::string_view, 11> kStageNames{"generate", "opacity",   "sort",     "intersect",
+                                                              "escape",   "light_hit", "emission", "surface",
+                                                              "scatter",  "shadow",    "film"};
 
 // What a guard caught. A count above 0 is a defect of the scene or of the renderer, and is shown.
 enum class Guard { bad_radiance, bad_weight, bad_direction, bad_pdf };
@@ -19,7 +20,7 @@ inline constexpr std::array<std::string_view, 4> kGuardNames{"bad_radiance", "ba
 
 struct Ledger {
     std::array<double, kStageNames.size()> seconds{};  // CPU time of the thread
-    double embree_seconds = 0;                          // within intersect and shadow
+    double embree_seconds = 0;                         // within intersect and shadow
     std::uint64_t closest_rays = 0, shadow_rays = 0, samples = 0;
     std::array<std::uint64_t, kGuardNames.size()> guards{};
 

@@ -31,8 +31,11 @@ struct Arrivals {
 Arrivals load_arrivals(const Worker& w, UIntV hit_rows) {
     const UIntV path = gather_uint<FloatV>(w.living.rows.data(), hit_rows);
     const Vec3<FloatV> throughput = w.paths.throughput.gather_rows(path);
-    return {path, w.paths.origin.gather_rows(path), w.paths.direction.gather_rows(path),
-            {throughput.x, throughput.y, throughput.z}, gather<FloatV>(w.paths.pdf.data(), path)};
+    return {path,
+            w.paths.origin.gather_rows(path),
+            w.paths.direction.gather_rows(path),
+            {throughput.x, throughput.y, throughput.z},
+            gather<FloatV>(w.paths.pdf.data(), path)};
 }
 
 void add_radiance(Worker& w, UIntV path, Rgb<FloatV> radiance, std::size_t lanes) {

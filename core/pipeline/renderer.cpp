@@ -24,13 +24,13 @@ constexpr std::size_t kSortedBatchSize = 16'384;
 
 // Flush-to-zero and denormals-are-zero for the lifetime of the object, on this thread only.
 class FlushDenormals {
-public:
+  public:
     FlushDenormals() : saved_(_mm_getcsr()) { _mm_setcsr(saved_ | 0x8040U); }
     ~FlushDenormals() { _mm_setcsr(saved_); }
     FlushDenormals(const FlushDenormals&) = delete;
     FlushDenormals& operator=(const FlushDenormals&) = delete;
 
-private:
+  private:
     unsigned saved_;
 };
 
@@ -112,7 +112,7 @@ void append_pixels(std::vector<Pixel>& order, const Rect& tile) {
 }  // namespace
 
 class Renderer::Pool {
-public:
+  public:
     Pool(const CommittedScene& scene, const Pipeline& pipeline, std::size_t batch_size, int threads)
         : arena(threads > 0 ? threads : tbb::task_arena::automatic),
           workers([&scene, &pipeline, batch_size] { return std::make_unique<Worker>(scene, pipeline, batch_size); }) {}
@@ -127,7 +127,8 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
     const Vec3<double> origin = translation(camera.camera_to_world);
     effects_ = derive_effects(scene, options_.force_effects);
     camera_ = make_camera_rays(camera, options_.width, options_.height);
-    materials_ = build_material_table(scene.materials(), effects_[Effect::specular].forced, effects_[Effect::coat].forced);
+    materials_ =
+        build_material_table(scene.materials(), effects_[Effect::specular].forced, effects_[Effect::coat].forced);
     tbb::task_arena arena(options_.threads > 0 ? options_.threads : tbb::task_arena::automatic);
     arena.execute([&] {
         geometry_ = build_geometry(scene, origin);
@@ -137,7 +138,8 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
         lights_ = build_lights(scene, geometry_, origin, radius > 0 ? radius : 1, options_.strategy, left_out_);
         accel_ = std::make_unique<Accel>(geometry_, lights_);
     });
-    for (const std::uint32_t material : geometry_.meshes.material) lobe_set_of_mesh_.push_back(materials_.lobe_set[material]);
+    for (const std::uint32_t material : geometry_.meshes.material)
+        lobe_set_of_mesh_.push_back(materials_.lobe_set[material]);
 
     constexpr AovSet kHitAovs = bit(Aov::normal) | bit(Aov::albedo) | bit(Aov::position);
     const bool delta_lights = std::any_of(lights_.infinite.begin(), lights_.infinite.end(), [&](std::uint32_t i) {
@@ -216,10 +218,11 @@ Ledger Renderer::ledger() const {
 }
 
 SceneCounts Renderer::counts() const {
-    const std::size_t geometry = (geometry_.positions.size() + geometry_.normals.size() + geometry_.colors.size()) * sizeof(float) +
-                                 (geometry_.indices.size() + geometry_.mesh_of_triangle.size() +
-                                  geometry_.normal_corners.size() + geometry_.color_corners.size()) *
-                                     sizeof(std::uint32_t);
+    const std::size_t geometry =
+        (geometry_.positions.size() + geometry_.normals.size() + geometry_.colors.size()) * sizeof(float) +
+        (geometry_.indices.size() + geometry_.mesh_of_triangle.size() + geometry_.normal_corners.size() +
+         geometry_.color_corners.size()) *
+            sizeof(std::uint32_t);
     return {geometry_.triangle_count(), geometry_.instances.size(), lights_.size(), geometry, accel_->bytes()};
 }
 

@@ -30,7 +30,7 @@ struct SceneCounts {
 };
 
 class Renderer {
-public:
+  public:
     // Commits the scene: tables, BVH, light choice. Throws std::invalid_argument for options out of range.
     Renderer(const Scene& scene, RenderOptions options);
     ~Renderer();
@@ -53,7 +53,7 @@ public:
     [[nodiscard]] SceneCounts counts() const;
     [[nodiscard]] const std::vector<LeftOut>& left_out() const { return left_out_; }
 
-private:
+  private:
     class Pool;
     // One thread renders these pixels: no other touches their sums.
     void run_unit(std::span<const Pixel> pixels, std::uint32_t sample_begin, std::uint32_t sample_end);

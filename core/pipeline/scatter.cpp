@@ -8,8 +8,8 @@ namespace footlight {
 
 namespace {
 
-// Roulette: from this bounce on a path goes on with probability min(1, gain * throughput). Least error times seconds on a
-// Cornell box among start 1 to 8 and gain 1 to 4. The floor bounds the weight of a survivor to a thousandfold.
+// Roulette: from this bounce on a path goes on with probability min(1, gain * throughput). Least error times seconds on
+// a Cornell box among start 1 to 8 and gain 1 to 4. The floor bounds the weight of a survivor to a thousandfold.
 constexpr std::uint32_t kRouletteStart = 2;
 constexpr float kRouletteGain = 3.0F;
 constexpr float kRouletteFloor = 1e-3F;
@@ -19,9 +19,9 @@ constexpr float kShadowRounding = 0x1p-18F;
 
 // One group of surface points in registers.
 struct Group {
-    std::size_t first;         // row of surfaces
-    std::uint32_t lanes;       // bits of rows that exist
-    Vec3<FloatV> origin;       // of spawned rays, clear of the surface
+    std::size_t first;    // row of surfaces
+    std::uint32_t lanes;  // bits of rows that exist
+    Vec3<FloatV> origin;  // of spawned rays, clear of the surface
     Vec3<FloatV> geometric;
     Frame<FloatV> frame;
     Rgb<FloatV> throughput;
@@ -34,9 +34,7 @@ struct Scattering {
     bool write_aovs;
 };
 
-Mask<FloatV> any_light(Rgb<FloatV> c) {
-    return (c.r != FloatV(0.0F)) | (c.g != FloatV(0.0F)) | (c.b != FloatV(0.0F));
-}
+Mask<FloatV> any_light(Rgb<FloatV> c) { return (c.r != FloatV(0.0F)) | (c.g != FloatV(0.0F)) | (c.b != FloatV(0.0F)); }
 
 FloatV light_strategy_weight(Strategy strategy, const LightSample<FloatV>& light, FloatV light_pdf, FloatV bsdf_pdf) {
     switch (strategy) {
@@ -62,15 +60,16 @@ void sample_towards_light(Worker& w, const Group& g, const Bsdf& bsdf) {
     const FloatV pdf = light.pdf * choice.probability;
     const FloatV weight = light_strategy_weight(scene.options.strategy, light, pdf, e.pdf);
     const Rgb<FloatV> contribution = g.throughput * e.f * light.radiance * (weight / pdf);
-    const Mask<FloatV> lit = light.valid & (pdf > FloatV(0.0F)) & (dot(g.geometric, light.wi) > FloatV(0.0F)) &
-                             any_light(contribution);
+    const Mask<FloatV> lit =
+        light.valid & (pdf > FloatV(0.0F)) & (dot(g.geometric, light.wi) > FloatV(0.0F)) & any_light(contribution);
     const std::uint32_t bits = lane_bits(lit) & g.lanes;
     if (bits == 0) return;
     ShadowColumns& s = w.shadows;
     s.origin.store(g.first, g.origin);
     s.direction.store(g.first, light.wi);
     const FloatV from_center = max(max(abs(g.origin.x), abs(g.origin.y)), abs(g.origin.z));
-    (light.distance * FloatV(1.0F - kShadowRounding) - from_center * FloatV(kShadowRounding)).store_aligned(&s.tfar[g.first]);
+    (light.distance * FloatV(1.0F - kShadowRounding) - from_center * FloatV(kShadowRounding))
+        .store_aligned(&s.tfar[g.first]);
     choice.index.store_aligned(&s.light[g.first]);
     s.contribution.store(g.first, contribution);
     w.shadow_rays.push_lanes(static_cast<std::uint32_t>(g.first), bits);
@@ -161,12 +160,18 @@ void scatter_lobe_set(Worker& w, LobeSet set, RowRange run, Scattering what) {
     using Glossy = GgxReflection<FloatV>;
     using Smooth = Mirror<FloatV>;
     switch (set) {
-        case LobeSet::diffuse: return scatter_run<NoLobe, NoLobe>(w, run, what);
-        case LobeSet::glossy: return scatter_run<Glossy, NoLobe>(w, run, what);
-        case LobeSet::mirror: return scatter_run<Smooth, NoLobe>(w, run, what);
-        case LobeSet::diffuse_coat: return scatter_run<NoLobe, Glossy>(w, run, what);
-        case LobeSet::glossy_coat: return scatter_run<Glossy, Glossy>(w, run, what);
-        case LobeSet::mirror_coat: return scatter_run<Smooth, Glossy>(w, run, what);
+        case LobeSet::diffuse:
+            return scatter_run<NoLobe, NoLobe>(w, run, what);
+        case LobeSet::glossy:
+            return scatter_run<Glossy, NoLobe>(w, run, what);
+        case LobeSet::mirror:
+            return scatter_run<Smooth, NoLobe>(w, run, what);
+        case LobeSet::diffuse_coat:
+            return scatter_run<NoLobe, Glossy>(w, run, what);
+        case LobeSet::glossy_coat:
+            return scatter_run<Glossy, Glossy>(w, run, what);
+        case LobeSet::mirror_coat:
+            return scatter_run<Smooth, Glossy>(w, run, what);
     }
 }
 

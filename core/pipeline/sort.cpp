@@ -31,14 +31,16 @@ struct RayKey {
     }
 
     [[nodiscard]] std::uint32_t operator()(const Column3& o, const Column3& d, std::uint32_t row) const {
-        const std::uint32_t code = spread(cell(o.x[row], low.x, scale.x)) | spread(cell(o.y[row], low.y, scale.y)) << 1 |
+        const std::uint32_t code = spread(cell(o.x[row], low.x, scale.x)) |
+                                   spread(cell(o.y[row], low.y, scale.y)) << 1 |
                                    spread(cell(o.z[row], low.z, scale.z)) << 2;
         const std::uint32_t octant = (d.x[row] < 0 ? 1U : 0U) | (d.y[row] < 0 ? 2U : 0U) | (d.z[row] < 0 ? 4U : 0U);
         return code << 3 | octant;
     }
 };
 
-void sort_rows(RowList& list, const Column3& origin, const Column3& direction, const RayKey& key, SortScratch& scratch) {
+void sort_rows(RowList& list, const Column3& origin, const Column3& direction, const RayKey& key,
+               SortScratch& scratch) {
     scratch.begin.assign((1U << kKeyBits) + 1U, 0U);
     for (std::size_t i = 0; i < list.count; ++i) {
         scratch.key[i] = key(origin, direction, list.rows[i]);

@@ -10,8 +10,8 @@ namespace {
 
 // Error bounds of float arithmetic after n operations (Higham 2002, section 3.1; pbrt-v4, section 6.8).
 constexpr float gamma(int n) { return static_cast<float>(n * 0x1p-24 / (1 - n * 0x1p-24)); }
-// Barycentric interpolation rounds six times; the spawned ray's origin clears four times that bound, because Embree's own
-// test rounds too (0 self-hits and 0 missed gaps over 9 decades of scale and distance).
+// Barycentric interpolation rounds six times; the spawned ray's origin clears four times that bound, because Embree's
+// own test rounds too (0 self-hits and 0 missed gaps over 9 decades of scale and distance).
 constexpr float kInterpolationError = gamma(6);
 constexpr float kTransformError = gamma(3);
 constexpr float kClearance = 4.0F;
@@ -22,11 +22,13 @@ struct Corners {
 
 Vec3<FloatV> load_row3(const std::vector<float>& table, UIntV row) {
     const UIntV at = row * UIntV(3U);
-    return {gather<FloatV>(table.data(), at), gather<FloatV>(table.data() + 1, at), gather<FloatV>(table.data() + 2, at)};
+    return {gather<FloatV>(table.data(), at), gather<FloatV>(table.data() + 1, at),
+            gather<FloatV>(table.data() + 2, at)};
 }
 
 // Rows of a primvar at the triangle's corners; `constant` and `none` lanes get a row that exists.
-Corners primvar_rows(UIntV kind, UIntV base, UIntV triangle, const Corners& points, const std::vector<std::uint32_t>& corners) {
+Corners primvar_rows(UIntV kind, UIntV base, UIntV triangle, const Corners& points,
+                     const std::vector<std::uint32_t>& corners) {
     const Mask<FloatV> per_point = equal<FloatV>(kind, UIntV(static_cast<std::uint32_t>(PrimvarLookup::per_point)));
     const Mask<FloatV> per_corner = equal<FloatV>(kind, UIntV(static_cast<std::uint32_t>(PrimvarLookup::per_corner)));
     const Mask<FloatV> constant = equal<FloatV>(kind, UIntV(static_cast<std::uint32_t>(PrimvarLookup::constant)));
@@ -44,7 +46,8 @@ Corners primvar_rows(UIntV kind, UIntV base, UIntV triangle, const Corners& poin
 
 Vec3<FloatV> interpolate(const std::vector<float>& table, const Corners& rows, FloatV u, FloatV v) {
     const FloatV w = FloatV(1.0F) - u - v;
-    return load_row3(table, rows.index[0]) * w + load_row3(table, rows.index[1]) * u + load_row3(table, rows.index[2]) * v;
+    return load_row3(table, rows.index[0]) * w + load_row3(table, rows.index[1]) * u +
+           load_row3(table, rows.index[2]) * v;
 }
 
 // Unit length without underflow for the normals of the smallest faces.
@@ -69,7 +72,8 @@ Point triangle_point(const Geometry& geometry, const Corners& corners, FloatV u,
     const Vec3<FloatV> p2 = load_row3(geometry.positions, corners.index[2]);
     const FloatV w = FloatV(1.0F) - u - v;
     const Vec3<FloatV> a = p0 * w, b = p1 * u, c = p2 * v;
-    return {a + b + c, (abs(a) + abs(b) + abs(c)) * FloatV(kInterpolationError), normalize_any_scale(cross(p1 - p0, p2 - p0))};
+    return {a + b + c, (abs(a) + abs(b) + abs(c)) * FloatV(kInterpolationError),
+            normalize_any_scale(cross(p1 - p0, p2 - p0))};
 }
 
 // Instance transforms of a group of lanes; row 0 is the identity, exact to the bit.
@@ -78,8 +82,7 @@ struct LaneTransform {
     Vec3<FloatV> cofactor[3];  // n' ~ n.x c0 + n.y c1 + n.z c2
     Mask<FloatV> is_world;
 
-    LaneTransform(const Geometry& geometry, UIntV instance)
-        : is_world(equal<FloatV>(instance, UIntV(0U))) {
+    LaneTransform(const Geometry& geometry, UIntV instance) : is_world(equal<FloatV>(instance, UIntV(0U))) {
         const auto load = [&](int column) {
             return Vec3<FloatV>{gather<FloatV>(geometry.transform[column].data(), instance),
                                 gather<FloatV>(geometry.transform[column + 1].data(), instance),
@@ -104,7 +107,8 @@ struct LaneTransform {
 };
 
 // Shading normal on the side of wo; the face's own where the interpolated one has no direction or faces away.
-Vec3<FloatV> shading_normal(Mask<FloatV> has_normals, Vec3<FloatV> interpolated, Vec3<FloatV> geometric, Vec3<FloatV> wo) {
+Vec3<FloatV> shading_normal(Mask<FloatV> has_normals, Vec3<FloatV> interpolated, Vec3<FloatV> geometric,
+                            Vec3<FloatV> wo) {
     const FloatV squared = length_squared(interpolated);
     const Vec3<FloatV> n = face_towards(interpolated * (FloatV(1.0F) / sqrt(squared)), geometric);
     // Half a degree above the horizon: below it a frame around n would put wo under the surface.
@@ -176,7 +180,8 @@ void surface(Worker& w) noexcept {
                 const Corners rows = primvar_rows(kind, base, triangle, corners, geometry.color_corners);
                 const Mask<FloatV> none = equal<FloatV>(kind, UIntV(static_cast<std::uint32_t>(PrimvarLookup::none)));
                 const Vec3<FloatV> c = interpolate(geometry.colors, rows, u, v);
-                color = select(none, color, Rgb<FloatV>{max(c.x, FloatV(0.0F)), max(c.y, FloatV(0.0F)), max(c.z, FloatV(0.0F))});
+                color = select(none, color,
+                               Rgb<FloatV>{max(c.x, FloatV(0.0F)), max(c.y, FloatV(0.0F)), max(c.z, FloatV(0.0F))});
             }
             s.position.store(out, point.position);
             s.wo.store(out, wo);

@@ -53,7 +53,9 @@ void add_to_film(Worker& w, std::size_t count, Film& film) {
             s.radiance.z[i] *= w.scene.exposure;
         }
     drop_bad_samples(w, count);
-    const auto pointers = [](const Column3& c) { return std::array<const float*, 3>{c.x.data(), c.y.data(), c.z.data()}; };
+    const auto pointers = [](const Column3& c) {
+        return std::array<const float*, 3>{c.x.data(), c.y.data(), c.z.data()};
+    };
     const SampleColumns columns{.radiance = pointers(s.radiance),
                                 .alpha = s.alpha.data(),
                                 .depth = s.depth.data(),

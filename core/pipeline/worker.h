@@ -26,7 +26,8 @@ struct Pipeline {
 Pipeline assemble_pipeline(const CommittedScene& scene);
 std::vector<std::string> stage_names(const Pipeline& pipeline);
 
-// Everything a stage may touch. Stages hand rows on through the lists: living -> misses, light_hits, surfaces -> living.
+// Everything a stage may touch. Stages hand rows on through the lists: living -> misses, light_hits, surfaces ->
+// living.
 struct Worker {
     const CommittedScene& scene;
     const Pipeline& pipeline;
@@ -40,7 +41,7 @@ struct Worker {
     PathColumns paths;
     RowList living;
     Column<float> camera_tnear, camera_tfar;  // by row of paths, for camera rays
-    Column<float> opacity_u;  // by row of paths or shadow rays; only with Effect::opacity
+    Column<float> opacity_u;                  // by row of paths or shadow rays; only with Effect::opacity
 
     HitRows hits;
     RowList misses, light_hits;  // rows of hits

@@ -105,8 +105,8 @@ std::string add_round_light(Scene& scene, const std::string& path, const Matrix&
     return scene.add_light(desc);
 }
 
-std::string add_cylinder_light(Scene& scene, const std::string& path, const Matrix& transform, double radius, double length,
-                               const Emission& emission, bool normalize, bool visible_to_camera) {
+std::string add_cylinder_light(Scene& scene, const std::string& path, const Matrix& transform, double radius,
+                               double length, const Emission& emission, bool normalize, bool visible_to_camera) {
     auto desc = light<CylinderLightDesc>(path, transform, emission, normalize, visible_to_camera);
     desc.radius = radius;
     desc.length = length;
@@ -128,7 +128,8 @@ std::string add_dome_light(Scene& scene, const std::string& path, const Matrix& 
         texture.height = static_cast<std::uint32_t>(image->shape(0));
         texture.width = static_cast<std::uint32_t>(image->shape(1));
     }
-    return scene.add_dome_light(light<DomeLightDesc>(path, transform, emission, false, visible_to_camera), std::move(texture));
+    return scene.add_dome_light(light<DomeLightDesc>(path, transform, emission, false, visible_to_camera),
+                                std::move(texture));
 }
 
 }  // namespace
@@ -136,9 +137,10 @@ std::string add_dome_light(Scene& scene, const std::string& path, const Matrix& 
 void bind_scene(nb::module_& module) {
     const Color kGray{0.18F, 0.18F, 0.18F}, kBlack{0, 0, 0};
     const Emission kWhite{1, 1, 1};
-    nb::class_<Scene>(module, "Scene",
-                      "What a stage calls for. Matrices are (4, 4) float64, row vectors: p' = p @ M. Lengths in stage units.\n"
-                      "Every call raises ValueError naming the path, the value and what is allowed.")
+    nb::class_<Scene>(
+        module, "Scene",
+        "What a stage calls for. Matrices are (4, 4) float64, row vectors: p' = p @ M. Lengths in stage units.\n"
+        "Every call raises ValueError naming the path, the value and what is allowed.")
         .def(nb::init<>())
         .def("set_camera", &set_camera, nb::kw_only(), "path"_a, "camera_to_world"_a, "focal_length"_a = 50.0,
              "horizontal_aperture"_a = 20.955, "vertical_aperture"_a = 15.2908, "horizontal_aperture_offset"_a = 0.0,
@@ -153,18 +155,20 @@ void bind_scene(nb::module_& module) {
         .def("add_mesh", &add_mesh, nb::kw_only(), "path"_a, "material"_a, "points"_a, "triangles"_a,
              "normals"_a = nb::none(), "normal_indices"_a = nb::none(), "colors"_a = nb::none(),
              "color_indices"_a = nb::none(), "opacities"_a = nb::none(), "opacity_indices"_a = nb::none(),
-             "points (N, 3) float32 in object space, triangles (T, 3) uint32 counter-clockwise from outside. A primvar has a\n"
+             "points (N, 3) float32 in object space, triangles (T, 3) uint32 counter-clockwise from outside. A primvar "
+             "has a\n"
              "value per point, or indices (T, 3) uint32 per corner. Returns the mesh's id; add_instances places it.")
         .def("add_instances", &add_instances, nb::kw_only(), "path"_a, "meshes"_a, "local_transforms"_a, "transforms"_a,
              "visible_to_camera"_a = true,
              "Places meshes, each under its local transform (M, 4, 4), at every transform (K, 4, 4).")
-        .def("add_rect_light", &add_rect_light, nb::kw_only(), "path"_a, "transform"_a, "width"_a = 1.0, "height"_a = 1.0,
-             "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true,
+        .def("add_rect_light", &add_rect_light, nb::kw_only(), "path"_a, "transform"_a, "width"_a = 1.0,
+             "height"_a = 1.0, "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true,
              "Emits along local -Z. Lights return why they were left out, or ''.")
-        .def("add_disk_light", &add_round_light<DiskLightDesc>, nb::kw_only(), "path"_a, "transform"_a, "radius"_a = 0.5,
-             "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true, "Emits along local -Z.")
-        .def("add_sphere_light", &add_round_light<SphereLightDesc>, nb::kw_only(), "path"_a, "transform"_a, "radius"_a = 0.5,
-             "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true)
+        .def("add_disk_light", &add_round_light<DiskLightDesc>, nb::kw_only(), "path"_a, "transform"_a,
+             "radius"_a = 0.5, "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true,
+             "Emits along local -Z.")
+        .def("add_sphere_light", &add_round_light<SphereLightDesc>, nb::kw_only(), "path"_a, "transform"_a,
+             "radius"_a = 0.5, "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true)
         .def("add_cylinder_light", &add_cylinder_light, nb::kw_only(), "path"_a, "transform"_a, "radius"_a = 0.5,
              "length"_a = 1.0, "emission"_a = kWhite, "normalize"_a = false, "visible_to_camera"_a = true,
              "Axis X, without caps.")

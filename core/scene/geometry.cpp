@@ -29,7 +29,7 @@ bool needs_opacity(const Mesh& mesh, const PreviewSurface& material) {
 
 // Grows the tables of one Geometry mesh by mesh.
 class GeometryBuilder {
-public:
+  public:
     GeometryBuilder(const Scene& scene, Vec3<double> origin) : scene_(scene), origin_(origin) {}
 
     Geometry build() {
@@ -49,11 +49,12 @@ public:
         grow_bounds_by_world();
         geometry_.positions.resize(geometry_.positions.size() + 4, 0.0F);  // Embree reads 16 bytes at the last vertex
         if (vertex_count() > kMaxRows || geometry_.triangle_count() > kMaxRows)
-            throw std::invalid_argument("the scene has more than " + std::to_string(kMaxRows) + " points or triangles after baking");
+            throw std::invalid_argument("the scene has more than " + std::to_string(kMaxRows) +
+                                        " points or triangles after baking");
         return std::move(geometry_);
     }
 
-private:
+  private:
     // 32-bit gathers address floats: 3 per row must stay below 2^31.
     static constexpr std::size_t kMaxRows = 715'000'000;
 
@@ -63,8 +64,10 @@ private:
         std::vector<Matrix4> kept;
         std::size_t singular = 0;
         for (const Matrix4& m : instances.transforms) {
-            if (determinant(m) != 0) kept.push_back(m);
-            else ++singular;
+            if (determinant(m) != 0)
+                kept.push_back(m);
+            else
+                ++singular;
         }
         if (singular > 0)
             geometry_.left_out.push_back(
@@ -81,8 +84,8 @@ private:
                 geometry_.left_out.push_back({mesh.path, "its transform is singular (determinant 0)"});
                 continue;
             }
-            result.push_back({&mesh, relative_to(instances.local_transforms[i] * transform, origin),
-                              instances.visible_to_camera});
+            result.push_back(
+                {&mesh, relative_to(instances.local_transforms[i] * transform, origin), instances.visible_to_camera});
         }
         return result;
     }
@@ -100,9 +103,9 @@ private:
             add_transform(placed);
             if (!(low.x <= high.x)) continue;
             for (int corner = 0; corner < 8; ++corner)
-                instance_corners_.push_back(transform_point(placed, {(corner & 1) != 0 ? high.x : low.x,
-                                                                     (corner & 2) != 0 ? high.y : low.y,
-                                                                     (corner & 4) != 0 ? high.z : low.z}));
+                instance_corners_.push_back(
+                    transform_point(placed, {(corner & 1) != 0 ? high.x : low.x, (corner & 2) != 0 ? high.y : low.y,
+                                             (corner & 4) != 0 ? high.z : low.z}));
         }
     }
 
@@ -196,17 +199,20 @@ private:
 
         const std::size_t first_color = geometry_.colors.size() / 3;
         if (material.diffuse_from_primvar)
-            for (const Rgb<float>& c : mesh.colors.values) geometry_.colors.insert(geometry_.colors.end(), {c.r, c.g, c.b});
+            for (const Rgb<float>& c : mesh.colors.values)
+                geometry_.colors.insert(geometry_.colors.end(), {c.r, c.g, c.b});
         const auto [color_kind, color_base] =
-            material.diffuse_from_primvar ? locate(mesh.colors, first_color, first_vertex, kept, geometry_.color_corners)
-                                          : std::pair{PrimvarLookup::none, 0U};
+            material.diffuse_from_primvar
+                ? locate(mesh.colors, first_color, first_vertex, kept, geometry_.color_corners)
+                : std::pair{PrimvarLookup::none, 0U};
         rows.color_kind.push_back(static_cast<std::uint32_t>(color_kind));
         rows.color_base.push_back(color_base);
 
         const bool varying_opacity = material.opacity_from_primvar && !mesh.opacities.empty();
         const std::size_t first_opacity = geometry_.opacities.size();
         if (varying_opacity)
-            geometry_.opacities.insert(geometry_.opacities.end(), mesh.opacities.values.begin(), mesh.opacities.values.end());
+            geometry_.opacities.insert(geometry_.opacities.end(), mesh.opacities.values.begin(),
+                                       mesh.opacities.values.end());
         const auto [opacity_kind, opacity_base] =
             varying_opacity ? locate(mesh.opacities, first_opacity, first_vertex, kept, geometry_.opacity_corners)
                             : std::pair{PrimvarLookup::none, 0U};
@@ -218,16 +224,18 @@ private:
     // Where the corners of the mesh's triangles find their value. Corner tables keep the order of the kept triangles.
     template <class T>
     std::pair<PrimvarLookup, std::uint32_t> locate(const Primvar<T>& primvar, std::size_t first_value,
-                                                 std::size_t first_vertex, const std::vector<std::uint32_t>& kept,
-                                                 std::vector<std::uint32_t>& corners) {
+                                                   std::size_t first_vertex, const std::vector<std::uint32_t>& kept,
+                                                   std::vector<std::uint32_t>& corners) {
         if (primvar.empty()) return {PrimvarLookup::none, 0U};
         if (primvar.values.size() == 1) return {PrimvarLookup::constant, static_cast<std::uint32_t>(first_value)};
         if (primvar.indices.empty())
-            return {PrimvarLookup::per_point, static_cast<std::uint32_t>(first_value) - static_cast<std::uint32_t>(first_vertex)};
+            return {PrimvarLookup::per_point,
+                    static_cast<std::uint32_t>(first_value) - static_cast<std::uint32_t>(first_vertex)};
         const std::size_t first_triangle = geometry_.triangle_count() - kept.size();
         const std::size_t base = corners.size() - first_triangle * 3;
         for (const std::uint32_t t : kept)
-            for (const std::uint32_t i : primvar.indices[t]) corners.push_back(static_cast<std::uint32_t>(first_value) + i);
+            for (const std::uint32_t i : primvar.indices[t])
+                corners.push_back(static_cast<std::uint32_t>(first_value) + i);
         return {PrimvarLookup::per_corner, static_cast<std::uint32_t>(base)};
     }
 

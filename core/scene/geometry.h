@@ -17,7 +17,8 @@ inline constexpr std::uint32_t kNoLight = 0xFFFFFFFFU;
 struct MeshColumns {
     std::vector<std::uint32_t> material;
     std::vector<std::uint32_t> normal_kind;  // PrimvarLookup
-    std::vector<std::uint32_t> normal_base;  // per_point: added to the point index; per_corner: to 3 * triangle + corner
+    std::vector<std::uint32_t>
+        normal_base;  // per_point: added to the point index; per_corner: to 3 * triangle + corner
     std::vector<std::uint32_t> color_kind;
     std::vector<std::uint32_t> color_base;
     std::vector<std::uint32_t> opacity_kind;
@@ -44,13 +45,13 @@ struct PlacedInstance {
 };
 
 struct Geometry {
-    std::vector<float> positions;          // 3 per vertex, one vertex of padding at the end
-    std::vector<std::uint32_t> indices;    // 3 per triangle, into positions
+    std::vector<float> positions;        // 3 per vertex, one vertex of padding at the end
+    std::vector<std::uint32_t> indices;  // 3 per triangle, into positions
     std::vector<std::uint32_t> mesh_of_triangle;
     MeshColumns meshes;
-    std::vector<float> normals;            // 3 per value, unit length
+    std::vector<float> normals;  // 3 per value, unit length
     std::vector<std::uint32_t> normal_corners;
-    std::vector<float> colors;             // 3 per value
+    std::vector<float> colors;  // 3 per value
     std::vector<std::uint32_t> color_corners;
     std::vector<float> opacities;
     std::vector<std::uint32_t> opacity_corners;

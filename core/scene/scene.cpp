@@ -93,7 +93,8 @@ std::uint32_t Scene::add_material(PreviewSurface material) {
 }
 
 std::uint32_t Scene::add_mesh(Mesh mesh) {
-    if (mesh.material >= materials_.size()) refuse(mesh.path, "material " + std::to_string(mesh.material) + " does not exist");
+    if (mesh.material >= materials_.size())
+        refuse(mesh.path, "material " + std::to_string(mesh.material) + " does not exist");
     check_finite(mesh.path, mesh.points, "point");
     check_indices(mesh.path, mesh.triangles, mesh.points.size(), "point index");
     check_primvar(mesh, mesh.normals, "normals");
@@ -142,7 +143,8 @@ std::string Scene::add_light(AnyLight light) {
     AnyLight checked = light;
     if (auto* dome = std::get_if<DomeLightDesc>(&checked); dome != nullptr && dome->image != nullptr) {
         const std::span texels(dome->image, std::size_t{3} * dome->width * dome->height);
-        if (std::none_of(texels.begin(), texels.end(), [](float t) { return std::abs(t) > 0; })) return "its image is black";
+        if (std::none_of(texels.begin(), texels.end(), [](float t) { return std::abs(t) > 0; }))
+            return "its image is black";
         dome->image = nullptr;
     }
     LightTable scratch;

@@ -1,4 +1,5 @@
-// What a stage calls for, in plain structs: meshes, instances, materials, lights, camera. Filled by a translator, read by commit.
+// What a stage calls for, in plain structs: meshes, instances, materials, lights, camera. Filled by a translator, read
+// by commit.
 #pragma once
 
 #include <array>
@@ -68,10 +69,10 @@ struct Camera {
     double vertical_aperture = 15.2908;
     double horizontal_aperture_offset = 0.0;
     double vertical_aperture_offset = 0.0;
-    double f_stop = 0.0;                          // 0: pinhole
-    double focus_distance = 0.0;                  // [stage units]
+    double f_stop = 0.0;                              // 0: pinhole
+    double focus_distance = 0.0;                      // [stage units]
     std::array<double, 2> clipping_range{0.0, 1e30};  // along the view axis [stage units]
-    double exposure_scale = 1.0;                  // multiplies radiance
+    double exposure_scale = 1.0;                      // multiplies radiance
 };
 
 using AnyLight =
@@ -96,7 +97,7 @@ struct LeftOut {
 
 // Every add_* refuses bad data with std::invalid_argument naming the path, the value and what is allowed.
 class Scene {
-public:
+  public:
     Scene() = default;
     // Lights point into the textures: a copy would share them.
     Scene(const Scene&) = delete;
@@ -116,7 +117,7 @@ public:
     [[nodiscard]] const std::vector<Instances>& instances() const { return instances_; }
     [[nodiscard]] const std::vector<AnyLight>& lights() const { return lights_; }
 
-private:
+  private:
     Camera camera_;
     std::vector<PreviewSurface> materials_;
     std::vector<Mesh> meshes_;

@@ -181,6 +181,9 @@ def main() -> None:
     unknown = set(arguments.figures) - set(FIGURES)
     if unknown:
         parser.error(f"no figure {', '.join(sorted(unknown))}; there are {', '.join(FIGURES)}")
+    load = os.getloadavg()[0]
+    if load > 0.5:
+        print(f"This machine is busy (load {load:.1f}): what is measured by the clock says little.")
     print(f"{'figure':52} {'measured':32} {'aim':10}")
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder), arguments.quick)

@@ -44,6 +44,19 @@ def test_mt13_strategies_agree(make: Callable[[], Stage]) -> None:
         assert_same_mean(images[a], images[b], f"{a} and {b}")
 
 
+@pytest.mark.parametrize("depth", [1, 2, 3])
+def test_mt13_a_light_sample_is_an_edge(depth: int) -> None:
+    """S03, MT13: at every depth limit the strategies agree; with one edge nothing but lights is seen."""
+    stage = replace(scenes.room(), max_depth=depth)
+    images = [
+        scenes.replicates(stage, COUNT, seed=100 * k, spp=64, strategy=strategy, **SIZE)
+        for k, strategy in enumerate(("mis", "light", "bsdf"))
+    ]
+    for a, b in itertools.combinations(images, 2):
+        assert_same_mean(a, b, f"depth {depth}")
+    assert (images[0][:, 16:].mean() == 0) == (depth == 1)
+
+
 def test_mt13_power() -> None:
     a, b = (scenes.replicates(scenes.room(), COUNT, seed=s, spp=64, **SIZE) for s in (1, 100))
     assert_same_mean(a, b, "two seeds")
