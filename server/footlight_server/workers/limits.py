@@ -10,7 +10,7 @@ from pathlib import Path
 _PR_SET_PDEATHSIG = 1
 # What a worker needs to know of the machine. USD's own variables (PXR_PLUGINPATH_NAME, PXR_AR_DEFAULT_SEARCH_PATH,
 # TF_*), PYTHONPATH and LD_* would let the surroundings decide what code and which files a stage reaches.
-_KEPT = ("HOME", "LANG", "LC_ALL", "LC_CTYPE", "OCIO", "PATH", "TMPDIR", "TZ")
+_KEPT = ("FOOTLIGHT_INSTRUCTION_SET", "HOME", "LANG", "LC_ALL", "LC_CTYPE", "OCIO", "PATH", "TMPDIR", "TZ")
 
 
 def worker_environment(surroundings: Mapping[str, str]) -> dict[str, str]:
