@@ -36,6 +36,12 @@ struct Scattering {
 
 Mask<FloatV> any_light(Rgb<FloatV> c) { return (c.r != FloatV(0.0F)) | (c.g != FloatV(0.0F)) | (c.b != FloatV(0.0F)); }
 
+// Counts the rows of a group that a guard caught.
+void count(Worker& w, Guard guard, Mask<FloatV> caught, std::uint32_t lanes) {
+    const std::uint32_t bits = lane_bits(caught) & lanes;
+    if (bits != 0) w.ledger.guard(guard) += static_cast<std::uint64_t>(std::popcount(bits));
+}
+
 FloatV light_strategy_weight(Strategy strategy, const LightSample<FloatV>& light, FloatV light_pdf, FloatV bsdf_pdf) {
     switch (strategy) {
         case Strategy::light:
@@ -60,8 +66,10 @@ void sample_towards_light(Worker& w, const Group& g, const Bsdf& bsdf) {
     const FloatV pdf = light.pdf * choice.probability;
     const FloatV weight = light_strategy_weight(scene.options.strategy, light, pdf, e.pdf);
     const Rgb<FloatV> contribution = g.throughput * e.f * light.radiance * (weight / pdf);
+    const Mask<FloatV> has_density = (pdf > FloatV(0.0F)) & is_finite(pdf);
+    count(w, Guard::bad_pdf, light.valid & (!has_density), g.lanes);
     const Mask<FloatV> lit =
-        light.valid & (pdf > FloatV(0.0F)) & (dot(g.geometric, light.wi) > FloatV(0.0F)) & any_light(contribution);
+        light.valid & has_density & (dot(g.geometric, light.wi) > FloatV(0.0F)) & any_light(contribution);
     const std::uint32_t bits = lane_bits(lit) & g.lanes;
     if (bits == 0) return;
     ShadowColumns& s = w.shadows;
@@ -83,12 +91,14 @@ void continue_path(Worker& w, const Group& g, const Bsdf& bsdf) {
     const SurfaceSample<FloatV> sample = bsdf.sample(u_lobe, u.u, u.v);
     const Vec3<FloatV> wi = to_world(g.frame, sample.wi);
     Rgb<FloatV> throughput = g.throughput * sample.weight;
+    // Rounding leaves a direction a few 1e-7 off unit length; what is further off, or not a number, is a defect.
+    const Mask<FloatV> is_unit = abs(length_squared(wi) - FloatV(1.0F)) < FloatV(1e-3F);
+    count(w, Guard::bad_direction, sample.valid & (!is_unit), g.lanes);
     // A direction that leaves by the shading normal but enters by the face would let light leak through.
-    Mask<FloatV> alive = sample.valid & (dot(g.geometric, wi) > FloatV(0.0F));
+    Mask<FloatV> alive = sample.valid & is_unit & (dot(g.geometric, wi) > FloatV(0.0F));
     const FloatV largest = max_component(throughput);
     const Mask<FloatV> sound = is_finite(largest);
-    const std::uint32_t unsound = lane_bits(alive & (!sound)) & g.lanes;
-    if (unsound != 0) w.ledger.guard(Guard::bad_weight) += static_cast<std::uint64_t>(std::popcount(unsound));
+    count(w, Guard::bad_weight, alive & (!sound), g.lanes);
     alive = alive & sound & (largest > FloatV(0.0F));
     if (w.bounce >= kRouletteStart) {
         const FloatV survive = clamp(largest * FloatV(kRouletteGain), FloatV(kRouletteFloor), FloatV(1.0F));
