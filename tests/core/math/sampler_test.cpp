@@ -1,4 +1,5 @@
-// The sampler: every pair of dimensions is a scrambled (0, 2)-net, and pairs of different purposes know nothing of each other.
+// The sampler: every pair of dimensions is a scrambled (0, 2)-net, and pairs of different purposes know nothing of each
+// other.
 #include "math/sampler.h"
 
 #include <gtest/gtest.h>
@@ -71,7 +72,8 @@ TEST(Sampler, PurposesAndReplicatesAreUncorrelated) {
 TEST(Sampler, NumbersStayBelowOne) {
     EXPECT_LT(to_unit<float>(0xFFFFFFFFU), 1.0F);
     std::set<float> seen;
-    for (std::uint32_t i = 0; i < (1U << 16); ++i) seen.insert(sample_1d<float>({42U, reverse_bits(i)}, 0, Dim::roulette));
+    for (std::uint32_t i = 0; i < (1U << 16); ++i)
+        seen.insert(sample_1d<float>({42U, reverse_bits(i)}, 0, Dim::roulette));
     EXPECT_EQ(seen.size(), 1U << 16);
     for (const std::uint32_t index : {0x7FFFFFFFU, 0x80000000U, 0xFFFFFFFFU}) {
         const auto u = sample_2d<float>({1U, reverse_bits(index)}, 10'000, Dim::lens);
