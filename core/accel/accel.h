@@ -52,7 +52,8 @@ class Accel {
                    const float* opacity_u, const HitColumns& hits) const noexcept;
 
     // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0. light: column of the rows of the
-    // lights that the rays ask for; no light shadows itself.
+    // lights that the rays ask for; no such light shadows itself. Faces of emissive meshes are surfaces here: a ray
+    // towards one has to end before it.
     void occluded(const RayColumns& rays, const std::uint32_t* list, std::size_t count, const std::uint32_t* light,
                   const float* opacity_u, std::uint8_t* occluded) const noexcept;
 

@@ -37,7 +37,7 @@ struct DiskLight {
   private:
     static LightHit<F> answer(const LightRow<F>& row, Vec3<F> to_center, F distance) {
         const F height = -dot(to_center, row.n);  // of the shaded point above the emitting side
-        return hit_where(height > F(0), row.radiance, distance * distance * (distance / height) * row.density);
+        return hit_where(height > F(0), row.radiance, area_density(row, height, distance));
     }
 };
 

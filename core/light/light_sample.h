@@ -97,6 +97,13 @@ inline LightHit<F> hit_where(Mask<F> lit, Rgb<F> radiance, F pdf) {
     return select_hit<F>(counts, {radiance, pdf}, no_light_hit<F>());
 }
 
+// Density [1/sr] of a point drawn uniformly over a flat light: distance^2 / (cos * area). height: of the shaded point
+// above the light's plane.
+template <class F>
+inline F area_density(const LightRow<F>& row, F height, F distance) {
+    return distance * distance * (distance / height) * row.density;
+}
+
 // c - a * b, rounded once also where the hardware has no fma (batches of 4): Dekker 1971 splits the product there.
 // Against a small light far away the residual is otherwise all rounding error.
 template <class F>

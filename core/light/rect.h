@@ -92,7 +92,7 @@ struct RectLight {
 
   private:
     static LightHit<F> answer(const LightRow<F>& row, const View& s, F distance) {
-        const F by_area = distance * distance * (distance / s.z) * row.density;
+        const F by_area = area_density(row, s.z, distance);
         const F pdf = select(s.solid_angle > row.limit, F(1) / s.solid_angle, by_area);
         return hit_where(s.z > F(0), row.radiance, pdf);
     }

@@ -29,7 +29,7 @@ struct TriangleLight {
   private:
     static LightHit<F> answer(const LightRow<F>& row, Vec3<F> to_corner, F distance) {
         const F height = abs(dot(to_corner, row.n));  // of the shaded point above the plane
-        return hit_where(height > F(0), row.radiance, distance * distance * (distance / height) * row.density);
+        return hit_where(height > F(0), row.radiance, area_density(row, height, distance));
     }
 };
 

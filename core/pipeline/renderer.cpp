@@ -134,8 +134,7 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
         geometry_ = build_geometry(scene, origin);
         left_out_ = geometry_.left_out;
         const double radius = std::max(geometry_.scene_radius(), light_extent(scene, origin));
-        // Nothing but sky has no size.
-        lights_ = build_lights(scene, geometry_, origin, radius > 0 ? radius : 1, options_.strategy, left_out_);
+        lights_ = build_lights(scene, geometry_, origin, radius, options_.strategy, left_out_);
         accel_ = std::make_unique<Accel>(geometry_, lights_);
     });
     for (const std::uint32_t material : geometry_.meshes.material)
