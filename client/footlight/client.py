@@ -1,13 +1,18 @@
 """The connection to a server: submit, find again, explain. Once with threads, once with asyncio."""
 
+import os
 import uuid
 from types import TracebackType
 from typing import Self
 
-import grpc
-
+from footlight.channel import Credentials, open_async_channel, open_channel
 from footlight.errors import rpc_errors
+from footlight.farm import AsyncFarm, Farm
 from footlight.session import AsyncSession, Session
+from footlight.tokens import AsyncTokens, Tokens
+from footlight.upload.blobs import untold, upload_stage, upload_stage_async
+from footlight.upload.bundle import BundleRef
+from footlight.upload.steps import Told
 from footlight.v1 import (
     render_pb2,
     render_service_pb2,
@@ -20,26 +25,33 @@ from footlight.v1 import (
 TIMEOUT = 10.0
 EXPLAIN_TIMEOUT = 600.0
 
-_CHANNEL_OPTIONS = (
-    # [ms] A server that vanished without a word is noticed after the two together.
-    ("grpc.keepalive_time_ms", 30_000),
-    ("grpc.keepalive_timeout_ms", 10_000),
-    # Servers listen on loopback or a Unix socket; $http_proxy has no business there.
-    ("grpc.enable_http_proxy", 0),
-)
-
 
 class Client:
     """A connection to the server at `address`: `host:port` or `unix:/path/to/socket`.
+
+    Beyond this machine, or with `ca`, it is TLS: `ca` is a PEM file with the certificates to trust, `token` says who
+    one is, over TLS only, `certificate` and `key` are PEM files for servers that ask for them. `farm` is the
+    server's queue of jobs, `tokens` are its tokens; the methods here are about single renders.
 
     Nothing is sent before the first call. Usable from several threads; close it, or use it in a `with`. `timeout` [s]
     is for calls that answer at once. Every method raises FootlightError, ServerUnavailableError if no server answers.
     """
 
-    def __init__(self, address: str, *, timeout: float = TIMEOUT) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        token: str = "",
+        ca: str | os.PathLike[str] | None = None,
+        certificate: str | os.PathLike[str] | None = None,
+        key: str | os.PathLike[str] | None = None,
+        timeout: float = TIMEOUT,
+    ) -> None:
         self.address = address
         self._timeout = timeout
-        self._channel = grpc.insecure_channel(address, options=_CHANNEL_OPTIONS)
+        self._channel = open_channel(address, Credentials(token, ca, certificate, key))
+        self.farm = Farm(self._channel, address, timeout)
+        self.tokens = Tokens(self._channel, address, timeout)
         self._renders = render_service_pb2_grpc.RenderServiceStub(self._channel)
         self._stages = stage_service_pb2_grpc.StageServiceStub(self._channel)
 
@@ -74,6 +86,14 @@ class Client:
             response: stage_service_pb2.ExplainStageResponse = self._stages.ExplainStage(request, timeout=timeout)
         return response
 
+    def upload(self, stage: str | os.PathLike[str], told: Told = untold) -> BundleRef:
+        """Send a stage of this machine with all it refers to, as far as the server does not have it; needs pxr here.
+
+        What is sent never changes. `told(done, total)` hears how many bytes the server has. Raises CollectError (see
+        footlight.upload.collect), QuotaError.
+        """
+        return upload_stage(self._channel, self.address, stage, told)
+
     def close(self) -> None:
         """Let the connection go; renders on the server go on."""
         self._channel.close()
@@ -90,10 +110,21 @@ class Client:
 class AsyncClient:
     """`Client` for asyncio: the same methods, awaited. To be made inside the running loop."""
 
-    def __init__(self, address: str, *, timeout: float = TIMEOUT) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        token: str = "",
+        ca: str | os.PathLike[str] | None = None,
+        certificate: str | os.PathLike[str] | None = None,
+        key: str | os.PathLike[str] | None = None,
+        timeout: float = TIMEOUT,
+    ) -> None:
         self.address = address
         self._timeout = timeout
-        self._channel = grpc.aio.insecure_channel(address, options=_CHANNEL_OPTIONS)
+        self._channel = open_async_channel(address, Credentials(token, ca, certificate, key))
+        self.farm = AsyncFarm(self._channel, address, timeout)
+        self.tokens = AsyncTokens(self._channel, address, timeout)
         self._renders = render_service_pb2_grpc.RenderServiceStub(self._channel)
         self._stages = stage_service_pb2_grpc.StageServiceStub(self._channel)
 
@@ -124,6 +155,10 @@ class AsyncClient:
             request = stage_service_pb2.ExplainStageRequest(spec=spec)
             response: stage_service_pb2.ExplainStageResponse = await self._stages.ExplainStage(request, timeout=timeout)
         return response
+
+    async def upload(self, stage: str | os.PathLike[str], told: Told = untold) -> BundleRef:
+        """As `Client.upload`."""
+        return await upload_stage_async(self._channel, self.address, stage, told)
 
     async def close(self) -> None:
         """As `Client.close`."""

@@ -7,7 +7,7 @@ import grpc
 from google.rpc import error_details_pb2
 from grpc_status import rpc_status
 
-from footlight.v1 import render_pb2
+from footlight.v1 import job_pb2, render_pb2
 
 
 class FootlightError(Exception):
@@ -16,6 +16,10 @@ class FootlightError(Exception):
 
 class ServerUnavailableError(FootlightError):
     """No server answers at the address, or it is shutting down. Try again later."""
+
+
+class StorageError(ServerUnavailableError):
+    """The server's database is locked or its disk is full; nothing happened. Try again later."""
 
 
 class InvalidRequestError(FootlightError):
@@ -54,12 +58,89 @@ class DeadlineError(FootlightError):
     """The server did not answer in time, or opening the stage took longer than it allows."""
 
 
+class NotReadingError(DeadlineError):
+    """A stream was cut off because nothing was read from it for long; what it told of goes on. Subscribe again."""
+
+
 class WorkerFailedError(FootlightError):
     """The worker that was to explain the stage crashed or ran out of memory. A retry may meet the same end."""
 
 
 class ProtocolError(FootlightError):
     """The server sent what its protocol does not allow, or failed inside. Please report it."""
+
+
+class JobNotFoundError(FootlightError):
+    """The server knows no such job, or it is pruned."""
+
+
+class TaskNotFoundError(FootlightError):
+    """The job has no such task, or the task no such attempt."""
+
+
+class FrameNotFoundError(FootlightError):
+    """The layer has no such frame, or there is no image of it yet."""
+
+
+class JobEndedError(FootlightError):
+    """The job has ended, so that it cannot be paused or resumed."""
+
+
+class JobNotEndedError(FootlightError):
+    """The job has not ended, so that it cannot be pruned."""
+
+
+class QuotaError(FootlightError):
+    """More than this user may have on the server. Try again when some of it is done or gone."""
+
+
+class CredentialsError(FootlightError):
+    """A certificate or key that was named cannot be used."""
+
+
+class TokenRequiredError(FootlightError):
+    """The server asks for a token, and there was none, or one that it does not know or that is revoked."""
+
+
+class DeniedError(FootlightError):
+    """The token does not allow it, or the job is another user's."""
+
+
+class TokenNotFoundError(FootlightError):
+    """The server knows no such token."""
+
+
+class BlobsMissingError(FootlightError):
+    """An uploaded stage is not whole on the server. Upload it again."""
+
+
+class DigestMismatchError(FootlightError):
+    """Uploaded bytes arrived as others than they were named. Upload them again."""
+
+
+class WrongOffsetError(FootlightError):
+    """An upload went on at another place than where it stands."""
+
+
+class JobFailedError(FootlightError):
+    """The job has ended and tasks of it have failed; `job` is its last state, `tasks` are some of those that failed."""
+
+    def __init__(self, job: job_pb2.Job, tasks: tuple[job_pb2.Task, ...] = ()) -> None:
+        first = next((task.last_attempt.message for task in tasks if task.last_attempt.message), "")
+        super().__init__(
+            f"{job.name} failed: {_count(job.tasks.failed, 'task')} failed, "
+            f"{job.frames_done} of {_count(job.frames_total, 'frame')} rendered" + (f"; {first}" if first else "")
+        )
+        self.job = job
+        self.tasks = tasks
+
+
+class JobCancelledError(FootlightError):
+    """The job was cancelled; `job` is its last state."""
+
+    def __init__(self, job: job_pb2.Job) -> None:
+        super().__init__(f"{job.name} was cancelled, {job.frames_done} of {_count(job.frames_total, 'frame')} rendered")
+        self.job = job
 
 
 class RenderCancelledError(FootlightError):
@@ -84,7 +165,11 @@ class RenderFailedError(FootlightError):
         self.prim_path = failure.prim_path
 
 
-# By google.rpc.ErrorInfo.reason; the table at RenderService in render_service.proto.
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+# By google.rpc.ErrorInfo.reason; the tables at the services in the .proto files.
 _BY_REASON: dict[str, type[FootlightError]] = {
     "INVALID_FIELD": InvalidRequestError,
     "REQUEST_ID_REUSED": InvalidRequestError,
@@ -95,10 +180,24 @@ _BY_REASON: dict[str, type[FootlightError]] = {
     "STAGE_REFUSED": StageRefusedError,
     "QUEUE_FULL": QueueFullError,
     "TIME_LIMIT": DeadlineError,
-    "NOT_READING": DeadlineError,
+    "NOT_READING": NotReadingError,
     "WORKER_FAILED": WorkerFailedError,
     "SHUTTING_DOWN": ServerUnavailableError,
     "INTERNAL": ProtocolError,
+    "JOB_NOT_FOUND": JobNotFoundError,
+    "TASK_NOT_FOUND": TaskNotFoundError,
+    "FRAME_NOT_FOUND": FrameNotFoundError,
+    "JOB_ENDED": JobEndedError,
+    "JOB_NOT_ENDED": JobNotEndedError,
+    "BLOBS_MISSING": BlobsMissingError,
+    "NOT_YOURS": DeniedError,
+    "QUOTA": QuotaError,
+    "STORAGE": StorageError,
+    "DIGEST_MISMATCH": DigestMismatchError,
+    "WRONG_OFFSET": WrongOffsetError,
+    "TOKEN_REQUIRED": TokenRequiredError,
+    "SCOPE_REQUIRED": DeniedError,
+    "TOKEN_NOT_FOUND": TokenNotFoundError,
 }
 
 # For errors that come from gRPC itself and carry no details.
@@ -117,8 +216,13 @@ def from_rpc(error: grpc.RpcError, address: str) -> FootlightError:
     if kind is InvalidRequestError:
         return InvalidRequestError(message, fields)
     if kind is ServerUnavailableError and not reason:
-        return ServerUnavailableError(f"no Footlight server answers at {address}: {message}")
+        return ServerUnavailableError(f"no Footlight server answers at {address}: {_cause(message)}")
     return kind(message)
+
+
+def _cause(message: str) -> str:
+    """The end of gRPC's chain of reasons, which is what failed: `Connection refused`."""
+    return message.rpartition("last error: UNKNOWN: ")[2].rpartition("Failed to connect to remote host: ")[2]
 
 
 def _details(error: grpc.RpcError) -> tuple[str, tuple[tuple[str, str], ...]]:

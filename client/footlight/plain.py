@@ -1,10 +1,12 @@
-"""Messages as plain values, for JSON: numbers stay numbers, and a field left at its default is there."""
+"""Messages as plain values, for JSON: numbers stay numbers, times are RFC 3339, a field at its default is there."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from google.protobuf.descriptor import FieldDescriptor  # type: ignore[import-untyped]
+from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import Message  # type: ignore[import-untyped]
+from google.protobuf.timestamp_pb2 import Timestamp
 
 Plain = str | int | float | bool | None | list["Plain"] | dict[str, "Plain"]
 
@@ -26,6 +28,12 @@ def _field(message: Message, field: FieldDescriptor) -> Plain:
 
 
 def _single(field: FieldDescriptor, value: Any) -> Plain:
+    if isinstance(value, Timestamp):
+        time: str = value.ToJsonString()
+        return time
+    if isinstance(value, Duration):
+        seconds: float = value.seconds + value.nanos * 1e-9
+        return seconds
     if field.message_type is not None:
         return plain(value)
     if field.enum_type is not None:

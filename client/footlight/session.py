@@ -13,6 +13,8 @@ import grpc
 from footlight.errors import ProtocolError, RenderCancelledError, RenderFailedError, rpc_errors
 from footlight.files import replacing
 from footlight.image import TileBatch, decode_batch
+from footlight.pieces import Pieces
+from footlight.resume import Patience, resumed, resumed_async
 from footlight.v1 import render_pb2, render_service_pb2, render_service_pb2_grpc, tile_pb2
 
 Event = render_pb2.Render | render_pb2.Progress | TileBatch
@@ -20,6 +22,9 @@ Format = Literal["exr", "png"]
 
 # The .proto names the default; 2 batches keep the server busy while one is being read.
 CREDITS = 2
+
+# [s] That a broken stream is tried again: a network may stumble; a server that ended has forgotten its renders.
+PATIENCE = 10.0
 
 _ENDED = {
     render_pb2.RENDER_STATE_SUCCEEDED,
@@ -69,21 +74,27 @@ class Session:
 
         The first event is the render as it is. `aovs` are those to get tiles of, none for no tiles; each has to be
         `color` or one the render was asked for. Tiles are half precision, or float32 if `exact`. A consumer that is
-        slow gets fewer, newer tiles. Ending the iteration early leaves the render running.
+        slow gets fewer, newer tiles. A stream that breaks is opened again, for PATIENCE [s]; then the render and its
+        image as they are come again. Ending the iteration early leaves the render running.
         """
+        subscribe = _subscribe(self.name, list(aovs), exact=exact)
         requests: queue.SimpleQueue[render_service_pb2.WatchRenderRequest | None] = queue.SimpleQueue()
-        requests.put(_subscribe(self.name, aovs, exact=exact))
-        with rpc_errors(self._address):
-            call = self._stub.WatchRender(iter(requests.get, None))
-            try:
-                for response in call:
-                    event = _event(response)
-                    yield event
-                    if isinstance(event, TileBatch):
-                        requests.put(_GRANT)
-            finally:
-                requests.put(None)
-                call.cancel()
+
+        def call() -> object:
+            nonlocal requests
+            requests.put(None)  # lets go of the broken stream's thread
+            requests = queue.SimpleQueue()
+            requests.put(subscribe)
+            return self._stub.WatchRender(iter(requests.get, None))
+
+        try:
+            for response in resumed(self._address, Patience(PATIENCE), call):
+                event = _event(response)
+                yield event
+                if isinstance(event, TileBatch):
+                    requests.put(_GRANT)
+        finally:
+            requests.put(None)
 
     def wait(self) -> render_pb2.Render:
         """The render once it has succeeded, with its statistics.
@@ -115,7 +126,7 @@ class Session:
 
     def pieces(self, image_format: Format = "exr") -> Iterator[bytes]:
         """The image file in pieces of at most 256 KB, in order. Raises ResultNotReadyError."""
-        assemble = _Pieces()
+        assemble = Pieces()
         with rpc_errors(self._address):
             for response in self._stub.GetResult(_result(self.name, image_format)):
                 yield assemble(response)
@@ -140,19 +151,25 @@ class AsyncSession:
 
     async def events(self, aovs: Iterable[str] = ("color",), *, exact: bool = False) -> AsyncIterator[Event]:
         """As `Session.events`."""
-        with rpc_errors(self._address):
-            call = self._stub.WatchRender()
-            try:
-                await call.write(_subscribe(self.name, aovs, exact=exact))
-                async for response in call:
+        subscribe = _subscribe(self.name, list(aovs), exact=exact)
+        requests: asyncio.Queue[render_service_pb2.WatchRenderRequest | None] = asyncio.Queue()
+
+        def call() -> object:
+            nonlocal requests
+            requests.put_nowait(None)  # lets go of the broken stream's task
+            requests = asyncio.Queue()
+            requests.put_nowait(subscribe)
+            return self._stub.WatchRender(_until_none(requests))
+
+        try:
+            async with contextlib.aclosing(resumed_async(self._address, Patience(PATIENCE), call)) as responses:
+                async for response in responses:
                     event = _event(response)
                     yield event
                     if isinstance(event, TileBatch):
-                        # The stream may have ended meanwhile; reading on tells how.
-                        with contextlib.suppress(asyncio.InvalidStateError):
-                            await call.write(_GRANT)
-            finally:
-                call.cancel()
+                        requests.put_nowait(_GRANT)
+        finally:
+            requests.put_nowait(None)
 
     async def wait(self) -> render_pb2.Render:
         """As `Session.wait`."""
@@ -181,30 +198,18 @@ class AsyncSession:
 
     async def pieces(self, image_format: Format = "exr") -> AsyncIterator[bytes]:
         """As `Session.pieces`."""
-        assemble = _Pieces()
+        assemble = Pieces()
         with rpc_errors(self._address):
             async for response in self._stub.GetResult(_result(self.name, image_format)):
                 yield assemble(response)
         assemble.check()
 
 
-class _Pieces:
-    """Sees that a file's pieces come in order and complete."""
-
-    def __init__(self) -> None:
-        self._offset = 0
-        self._total = 0
-
-    def __call__(self, response: render_service_pb2.GetResultResponse) -> bytes:
-        if response.offset != self._offset:
-            raise ProtocolError(f"a piece of the image at byte {response.offset} instead of {self._offset}")
-        self._offset += len(response.data)
-        self._total = response.total_bytes
-        return response.data
-
-    def check(self) -> None:
-        if self._offset != self._total:
-            raise ProtocolError(f"the image ended after {self._offset} of {self._total} bytes")
+async def _until_none(
+    requests: asyncio.Queue[render_service_pb2.WatchRenderRequest | None],
+) -> AsyncIterator[render_service_pb2.WatchRenderRequest]:
+    while (request := await requests.get()) is not None:
+        yield request
 
 
 def _subscribe(name: str, aovs: Iterable[str], *, exact: bool) -> render_service_pb2.WatchRenderRequest:

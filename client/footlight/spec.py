@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Literal, TypeVar
 
+from footlight.paths import absolute
 from footlight.v1 import render_pb2
 
 PixelFilter = Literal["box", "gaussian", "blackman-harris"]
@@ -43,13 +43,16 @@ def render_spec(
     png: bool = False,
     view: str = "",
     force_effects: Iterable[str] = (),
+    bundle: str = "",
 ) -> render_pb2.RenderSpec:
     """The RenderSpec for `stage`, whose comments say what each option means and its default (0, None, "").
 
-    `size` is (width, height) [pixels]. A relative path is taken from the current directory. Raises ValueError for
-    names that are not known and numbers that a message cannot hold, naming the option.
+    `size` is (width, height) [pixels]. A relative path is taken from the current directory; with a `bundle`, as
+    `Client.upload` names it, `stage` is the path of one of its files. Raises ValueError for names that are not known
+    and numbers that a message cannot hold, naming the option.
     """
-    spec = render_pb2.RenderSpec(stage_path=str(Path(stage).absolute()), camera_path=camera, strict=strict)
+    path = os.fspath(stage) if bundle else absolute(stage)
+    spec = render_pb2.RenderSpec(stage_path=path, bundle=bundle, camera_path=camera, strict=strict)
     width, height = size or (0, 0)
     numbers = {
         "time_code": time_code,

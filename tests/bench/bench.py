@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.bench import scenes, service  # noqa: E402
+from tests.bench import farm_queue, scenes, service, watchers  # noqa: E402
 
 FOOTLIGHT = Path(sys.executable).with_name("footlight")
 # What --stats writes, as far as it is read here: numbers by name, by group.
@@ -161,12 +161,53 @@ def streaming(bench: Bench) -> Iterator[Row]:
     yield Row("cost of streaming", f"{cost:+.1%} of render time", "< 5 %", cost < 0.05)
 
 
+def watching(bench: Bench) -> Iterator[Row]:
+    """A hundred who watch a job, two of whom never read."""
+    rounds = list(watchers.rounds(bench.room(5_000), 1 if bench.quick else 3, 98, 2))
+    cost = statistics.median(r.readers.render_seconds / r.alone.render_seconds - 1 for r in rounds)
+    yield Row("cost of 98 watchers, on the same cores", f"{cost:+.1%} of render time")
+    cost = statistics.median(r.silent.render_seconds / r.readers.render_seconds - 1 for r in rounds)
+    yield Row("cost of 2 more who never read", f"{cost:+.1%} of render time", "< 5 %", cost < 0.05)
+    seen = [r.silent.seen for r in rounds if r.silent.seen is not None]
+    ended = min(some.ended for some in seen)
+    yield Row("of the 98, saw the job to its end", str(ended), "98", ended == 98)
+    delay = watchers.percentile([delay for some in seen for delay in some.delays], 0.99)
+    yield Row("delay of their events, 99th percentile", f"{delay:.2f} s", "< 1 s", delay < 1)
+    grown = max(r.silent.grown for r in rounds) / 1e6
+    yield Row("memory the server grew by", f"{grown:.0f} MB", "< 64 MB", grown < 64)
+
+
+def queue(bench: Bench) -> Iterator[Row]:
+    """A job of ten thousand tasks in the farm's queue."""
+    measured = []
+    for turn in range(bench.rounds()):
+        folder = bench.folder / f"queue{turn}"
+        folder.mkdir()
+        measured.append(farm_queue.measure(folder, 512 if bench.quick else 2048))
+
+    def middle(name: str) -> float:
+        return float(statistics.median(getattr(each, name) for each in measured))
+
+    submit, page = middle("submit"), middle("slowest_page")
+    yield Row("10000 tasks put into the queue", f"{submit:.2f} s", "< 1 s", submit < 1)
+    for name, figure in (
+        ("claims_in_batches", "tasks claimed by 32 lanes, in one call"),
+        ("claims_one_by_one", "by 32 calls"),
+    ):
+        yield Row(figure, f"{middle(name):.0f} per second", "> 500", middle(name) > 500)
+    yield Row("tasks ended by 32 calls", f"{middle('endings'):.0f} per second")
+    yield Row("slowest page of 1000 tasks", f"{page * 1000:.0f} ms", "< 50 ms", page < 0.05)
+    yield Row("10000 tasks cancelled", f"{middle('cancel'):.2f} s")
+
+
 FIGURES: dict[str, Callable[[Bench], Iterator[Row]]] = {
     "threads": threads,
     "embree": embree,
     "instruction_sets": instruction_sets,
     "first_tile": first_tile,
     "streaming": streaming,
+    "watching": watching,
+    "queue": queue,
     "flat": flat,
     "instanced": instanced,
 }

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from footlight.cli import exits
@@ -13,6 +15,7 @@ from footlight.cli.app import app
 from footlight.cli.progress import Lines
 from footlight.cli.report import duration, percent, remarks, summary
 from footlight.v1 import render_pb2, report_pb2, stats_pb2
+from footlight_server.options import parse_arguments
 
 NOWHERE = "127.0.0.1:1"
 
@@ -21,7 +24,18 @@ def run(*arguments: str) -> Result:
     return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "200", "NO_COLOR": "1"})
 
 
-@pytest.mark.parametrize("command", [[], ["render"], ["explain"], ["serve"]])
+def all_commands() -> list[list[str]]:
+    """Every command, by what one types."""
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    found: list[list[str]] = [[]]
+    for name, command in group.commands.items():
+        deeper = [[name, below] for below in command.commands] if isinstance(command, TyperGroup) else []
+        found += [[name], *deeper]
+    return [command for command in found if command[:1] != ["cluster"] or len(command) < 2]
+
+
+@pytest.mark.parametrize("command", all_commands(), ids=" ".join)
 def test_help_says_what_and_lists_the_exit_codes(command: list[str]) -> None:
     text = " ".join(run(*command, "--help").output.split())
     for code, meaning in exits.HELP.items():
@@ -34,7 +48,47 @@ def test_every_option_of_the_manual_is_there() -> None:
         *("--output", "--server", "--camera", "--frame", "--size", "--spp", "--seed", "--max-depth", "--threads"),
         *("--pixel-filter", "--strategy", "--aov", "--strict", "--stats", "--png", "--view", "--keep-partial"),
     }
-    assert set(re.findall(r"--[a-z-]+", run("serve", "--help").output)) >= {"--listen", "--workers", "--root"}
+    for command, needs in MANUAL.items():
+        assert set(re.findall(r"--[a-z-]+", run(command, "--help").output)) >= options_of(needs), command
+
+
+def test_a_job_takes_every_option_of_a_render() -> None:
+    of_one_image = {"--frame", "--stats", "--keep-partial"}
+    render, submit = (set(re.findall(r"--[a-z-]+", run(name, "--help").output)) for name in ("render", "submit"))
+    assert render - submit == of_one_image
+
+
+def test_the_server_takes_every_option_that_is_passed_on() -> None:
+    values = {"--executor": "local", "--log-format": "json", "--listen": "unix:/a", "--root": "/", "--output-root": "/"}
+    switches = {"--trust-scenes"}
+    offered = set(re.findall(r"--[a-z-]+", run("serve", "--help").output)) - {"--help", "--tls-cert"}
+    given = [option if option in switches else f"{option}={values.get(option, 1)}" for option in sorted(offered)]
+    parsed = vars(parse_arguments(given))
+    assert {option.removeprefix("--").replace("-", "_") for option in offered} <= set(parsed)
+    own = {"private", "verbose", "tls_cert"}
+    assert set(parsed) - own == {option.removeprefix("--").replace("-", "_") for option in offered}
+
+
+def options_of(text: str) -> set[str]:
+    return {f"--{name}" for name in text.split()}
+
+
+# What the manual promises.
+MANUAL = {
+    "submit": "frames output name show shot layer priority chunk split tag depends retries timeout stall-timeout "
+    "paused dry-run watch upload env path-map comment limit png server token ca json",
+    "jobs": "state user show shot tag count json",
+    "tasks": "state layer count json",
+    "log": "follow json",
+    "watch": "tev json",
+    "retry": "layer frames json",
+    "skip": "layer frames all json",
+    "prune": "older-than dry-run json",
+    "fetch": "output format layer frame json",
+    "serve": "listen tls-cert tls-key tls-client-ca data database workers farm-workers root output-root allow-env "
+    "trust-scenes quota-jobs quota-tasks quota-bytes keep-blobs max-prims max-instances max-points max-texels metrics "
+    "log-format executor ray-address drain-seconds",
+}
 
 
 @pytest.mark.parametrize(
@@ -71,28 +125,44 @@ def test_an_output_that_cannot_be_written_is_found_before_the_render(tmp_path: P
         assert says in result.stderr
 
 
-@pytest.mark.parametrize("command", [["render", "a.usda", "-o", "a.exr"], ["explain", "a.usda"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["render", "a.usda", "-o", "a.exr"],
+        ["explain", "a.usda"],
+        ["submit", "a.usda"],
+        ["jobs"],
+        ["watch", "12"],
+        ["retry", "12/3"],
+        ["token", "list"],
+    ],
+    ids=" ".join,
+)
 def test_no_server_is_said_with_its_address(command: list[str]) -> None:
     result = run(*command, "--server", NOWHERE)
     assert result.exit_code == exits.Exit.SERVER
     assert result.stderr.startswith(f"error: no Footlight server answers at {NOWHERE}")
 
 
-@pytest.mark.parametrize("command", [["render", "a.usda", "-o", "a.exr"], ["explain", "a.usda"], ["serve"]])
+@pytest.mark.parametrize(
+    "command", [["render", "a.usda", "-o", "a.exr"], ["explain", "a.usda"], ["serve"], ["cluster", "up"]]
+)
 def test_without_the_server_package_it_says_what_to_install(
     command: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("footlight.private.find_spec", lambda _: None)
     monkeypatch.setattr("footlight.cli.serve.find_spec", lambda _: None)
+    monkeypatch.setattr("footlight.cli.cluster.find_spec", lambda _: None)
     result = run(*command)
     assert result.exit_code == exits.Exit.SERVER
-    assert "pip install footlight-server" in result.stderr
+    assert re.search("pip install '?footlight-server", result.stderr)
 
 
-def test_help_needs_neither_grpc_nor_numpy() -> None:
+@pytest.mark.parametrize("command", ["render", "submit", "watch"])
+def test_help_needs_neither_grpc_nor_numpy(command: str) -> None:
     program = (
         "import sys; from footlight.cli import main\n"
-        "sys.argv = ['footlight', 'render', '--help']\n"
+        f"sys.argv = ['footlight', '{command}', '--help']\n"
         "try: main()\n"
         "except SystemExit: pass\n"
         "print(sorted({'grpc', 'numpy', 'google.protobuf', 'zstandard'} & set(sys.modules)), file=sys.stderr)"

@@ -8,20 +8,23 @@ import pytest
 from google.protobuf import any_pb2
 from google.rpc import error_details_pb2, status_pb2
 
-from footlight.cli.exits import BY_REASON, Exit, exit_code
+from footlight import errors
+from footlight.cli.exits import BY_ERROR, BY_REASON, Exit, exit_code
 from footlight.errors import (
     _BY_REASON,
     FootlightError,
     InvalidRequestError,
+    JobCancelledError,
+    JobFailedError,
     ProtocolError,
     RenderFailedError,
     ServerUnavailableError,
     from_rpc,
 )
 from footlight.private import NoServerError
-from footlight.v1 import render_pb2
+from footlight.v1 import job_pb2, render_pb2
 
-PROTO = Path(__file__).parents[2] / "proto" / "footlight" / "v1" / "render_service.proto"
+PROTOS = sorted((Path(__file__).parents[2] / "proto" / "footlight" / "v1").glob("*_service.proto"))
 
 
 class FailedCall(grpc.RpcError):  # type: ignore[misc]
@@ -54,7 +57,8 @@ def failed(code: grpc.StatusCode, message: str, reason: str, **fields: str) -> F
 
 
 def table() -> list[tuple[str, str]]:
-    return re.findall(r"^//   ([A-Z_]+) +([A-Z_]+)\b", PROTO.read_text(), re.MULTILINE)
+    text = "".join(proto.read_text() for proto in PROTOS)
+    return re.findall(r"^//   ([A-Z_]+) +([A-Z_]+)\b", text, re.MULTILINE)
 
 
 @pytest.mark.parametrize(("code", "reason"), table())
@@ -99,4 +103,19 @@ def test_every_error_has_an_exit_code() -> None:
     for name in render_pb2.FailureReason.keys():  # noqa: SIM118
         failure = render_pb2.Failure(reason=render_pb2.FailureReason.Value(name), message="m")
         assert exit_code(RenderFailedError(failure)) not in (Exit.OK, Exit.CANCELLED)
+    failed = JobFailedError(job_pb2.Job(name="jobs/1"))
+    cancelled = JobCancelledError(job_pb2.Job(name="jobs/1"))
+    assert (exit_code(failed), exit_code(cancelled)) == (Exit.FAILED, Exit.CANCELLED)
+    assert {name for name in BY_ERROR if not hasattr(errors, name)} == {
+        "NoServerError",
+        "CollectError",
+        "NoViewerError",
+    }
     assert exit_code(OSError(28, "No space left on device", "a.exr")) is Exit.OUTPUT
+
+
+def test_a_job_that_failed_says_how_much_and_the_first_reason() -> None:
+    job = job_pb2.Job(name="jobs/12", frames_done=3, frames_total=5, tasks=job_pb2.TaskCounts(failed=1))
+    task = job_pb2.Task(last_attempt=job_pb2.Attempt(message="/World/Nobody is not a camera"))
+    assert str(JobFailedError(job)) == "jobs/12 failed: 1 task failed, 3 of 5 frames rendered"
+    assert str(JobFailedError(job, (task,))).endswith("; /World/Nobody is not a camera")

@@ -39,10 +39,16 @@ def test_every_field_of_the_message_can_be_set() -> None:
         error_limit=0.1,
         view="Raw",
         force_effects=["dome"],
+        bundle="ab/7",
     )
     assert {field.name for field, _ in spec.ListFields()} == {field.name for field in spec.DESCRIPTOR.fields}
-    assert spec.stage_path == str(Path.cwd() / "a.usda")
+    assert spec.stage_path == "a.usda"
     assert spec.HasField("time_code")
+
+
+def test_a_stage_is_a_path_from_here_unless_it_is_uploaded() -> None:
+    assert render_spec("a.usda").stage_path == str(Path.cwd() / "a.usda")
+    assert render_spec("a.usda", bundle="ab/7").stage_path == "a.usda"
 
 
 def test_what_is_not_said_is_left_to_the_server() -> None:

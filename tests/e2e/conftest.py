@@ -32,6 +32,7 @@ def server() -> Iterator[str]:
             [FOOTLIGHT, "serve", "--listen", f"unix:{directory}/socket", "--workers", "2"],
             stdout=subprocess.PIPE,
             text=True,
+            env=os.environ | {"XDG_DATA_HOME": directory},
         )
         assert process.stdout is not None
         try:

@@ -30,7 +30,7 @@ def render(name: str, seeds: range, strategy: str = "mis") -> npt.NDArray[np.flo
         open_stage(HERE / "stages" / f"{name}.usda"),
         scene,
         TranslateRequest(),
-        load_image=lambda path: read_image(Path(path)),
+        load_image=lambda path, admit: read_image(Path(path), admit=admit),
     )
     assert not report.left_out, report.left_out
     images = []

@@ -1,10 +1,18 @@
 """The progress bar at a terminal, by rich."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TransferSpeedColumn,
+)
 
 from footlight.cli.progress import Remarks, describe, word
 from footlight.v1 import render_pb2
@@ -45,3 +53,12 @@ def bar() -> Iterator[Bar]:
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as display:
         yield Bar(display, display.add_task("", total=None, detail=""))
+
+
+@contextlib.contextmanager
+def transfer_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar for bytes on stderr that goes when the block ends."""
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as display:
+        task = display.add_task(what, total=None)
+        yield lambda done, total: display.update(task, completed=done, total=total)

@@ -1,37 +1,39 @@
 """`footlight explain`: the stage's effects, pipeline and gaps, as tables or JSON."""
 
-import json
 import sys
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from footlight.cli.connect import connect
+from footlight.cli.connect import connect, path_map
+from footlight.cli.options import OwnConnection
 from footlight.cli.report import usage
+from footlight.cli.tables import write_json
 from footlight.plain import plain
 from footlight.spec import render_spec
 from footlight.v1 import report_pb2, stage_service_pb2
 
 # [columns] Where stdout is no terminal.
-PLAIN_WIDTH = 160
+WIDTH = 160
 
 
-def run_explain(server: str, *, as_json: bool, **options: Any) -> None:
+def run_explain(connection: OwnConnection, options: dict[str, Any], *, as_json: bool) -> None:
     """Print the explanation; `options` are those of render_spec."""
     with usage():
         spec = render_spec(**options)
-    with connect(server) as client:
+        spec.stage_path = path_map(connection).to_server(options["stage"])
+    with connect(connection) as client:
         answer = client.explain(spec)
     if as_json:
-        sys.stdout.write(json.dumps(plain(answer), indent=2) + "\n")
+        write_json(plain(answer))
     else:
         _print(answer)
 
 
 def _print(answer: stage_service_pb2.ExplainStageResponse) -> None:
     spec, report = answer.spec, answer.report
-    console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else WIDTH)
     time = f"time code {spec.time_code:g}" if spec.HasField("time_code") else "default time"
     console.print(f"{spec.stage_path}: {spec.width}x{spec.height}, camera {spec.camera_path or 'framed'}, {time}")
     if report.counts:

@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from footlight.cli.report import duration, note, percent, remarks
@@ -40,6 +40,18 @@ def progress_view() -> Iterator[ProgressView]:
 
     with bar() as view:
         yield view
+
+
+@contextlib.contextmanager
+def transfer_view(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Is told how many bytes of how many are over; shown at a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    from footlight.cli.bar import transfer_bar  # noqa: PLC0415 rich takes a while to import
+
+    with transfer_bar(what) as told:
+        yield told
 
 
 class Remarks:

@@ -9,11 +9,13 @@ from typing import Any
 
 import typer
 
-from footlight.cli.connect import connect
+from footlight.cli.connect import connect, path_map
 from footlight.cli.exits import Exit
 from footlight.cli.interrupt import cancelling
+from footlight.cli.options import OwnConnection
 from footlight.cli.progress import progress_view
 from footlight.cli.report import note, summary, usage
+from footlight.cli.stage import place
 from footlight.errors import RenderCancelledError
 from footlight.files import replacing
 from footlight.plain import plain
@@ -67,12 +69,17 @@ class Outputs:
                 temporary.write_text(json.dumps(plain(render.stats), indent=2) + "\n")
 
 
-def run_render(outputs: Outputs, server: str, *, keep_partial: bool, **options: Any) -> None:
+def run_render(
+    outputs: Outputs, connection: OwnConnection, options: dict[str, Any], *, upload: bool, keep_partial: bool
+) -> None:
     """Render and write `outputs`; `options` are those of render_spec."""
+    if upload and not connection.server:
+        raise typer.BadParameter("a private server keeps no uploads; name one with --server", param_hint="--upload")
     with usage():
-        spec = render_spec(**options)
+        spec, paths = render_spec(**options), path_map(connection)
     outputs.check()
-    with connect(server) as client:
+    with connect(connection) as client:
+        place(client, spec, options["stage"], paths, upload=upload)
         session = client.submit(spec)
         with cancelling(session, keep_partial=keep_partial):
             render = _follow(session)

@@ -1,6 +1,7 @@
 """What is said to people, on stderr: notes, the summary, errors, and the exit code that goes with them."""
 
 import contextlib
+import re
 import sys
 from collections.abc import Iterator, Sequence
 
@@ -19,7 +20,18 @@ OPTIONS = {
     "height": "--size",
     "aovs": "--aov",
     "png.view": "--view",
+    "title": "--name",
+    "name": "--layer",
+    "tags": "--tag",
+    "environment": "--env",
+    "timeout_seconds": "--timeout",
+    "stall_timeout_seconds": "--stall-timeout",
+    "limits": "--limit",
 }
+# The part of a field's path that says in which message of a submission it is.
+_PREFIX = re.compile(r"^spec\.(layers\[\d+\]\.)?(render\.)?")
+# Fields of other requests, and values that are parsed here.
+_OTHERS = {"job": "JOB", "task": "TASK", "token": "TOKEN", "user": "USER"}
 
 # [lines] Of each kind of remark; `footlight explain` has them all.
 FIRST = 5
@@ -27,8 +39,13 @@ FIRST = 5
 
 def note(text: str) -> None:
     """A plain line on stderr."""
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{visible(text)}\n")
     sys.stderr.flush()
+
+
+def visible(text: str) -> str:
+    """`text` without what a terminal would obey: titles and messages are other people's words."""
+    return "".join(char if char.isprintable() or char in "\n\t" else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
 @contextlib.contextmanager
@@ -61,15 +78,22 @@ def _text(error: FootlightError) -> str:
     text = str(error)
     if isinstance(error, InvalidRequestError) and error.fields:
         return "; ".join(f"{option_of(field)}: {why}" for field, why in error.fields)
+    if text.startswith("no Footlight server answers"):
+        return f"{text}; `footlight serve` starts one, --server names another"
     if isinstance(error, RenderFailedError) and error.prim_path and error.prim_path not in text:
         return f"{error.prim_path}: {text}"
     return text
 
 
 def option_of(field: str) -> str:
-    """The option or argument that sets a field of RenderSpec."""
-    name = field.removeprefix("spec.").partition("[")[0]
-    return OPTIONS.get(name, f"--{name.replace('_', '-')}")
+    """The option or argument that sets a field of a request."""
+    name, inside = _PREFIX.subn("", field)
+    name = name.partition("[")[0]
+    if inside or name in OPTIONS:
+        known = OPTIONS
+    else:
+        known, name = _OTHERS, name.rpartition(".")[2]
+    return known.get(name, f"--{name.replace('_', '-')}")
 
 
 def remarks(report: report_pb2.StageReport) -> list[str]:

@@ -1,4 +1,4 @@
-"""Where the server may listen: loopback and unix sockets; anything else would need TLS."""
+"""Where the server may listen: loopback and unix sockets as they are, anything else with TLS."""
 
 import ipaddress
 
@@ -7,21 +7,35 @@ class AddressError(ValueError):
     """The address is none, or none that may be listened on."""
 
 
-def check_address(address: str) -> str:
-    """The address in gRPC's spelling, `HOST:PORT` or `unix:PATH`. Port 0: any that is free. Raises AddressError."""
+def check_address(address: str, *, tls: bool = False) -> str:
+    """The address in gRPC's spelling, `HOST:PORT` or `unix:PATH`. Port 0: any that is free. Raises AddressError.
+
+    `tls`: the server has a certificate, so that it may be reached from elsewhere.
+    """
     if address.startswith("unix:"):
         if not address.removeprefix("unix:"):
             raise AddressError("a unix address needs a path: unix:PATH")
         return address
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdecimal() or int(port) > 65535:
-        raise AddressError(f"{address!r} is no address; write HOST:PORT or unix:PATH")
-    if not _is_loopback(host.strip("[]")):
+    host, _ = split_address(address)
+    if not (tls or _is_loopback(host)):
         raise AddressError(
             f"{address!r} is not a loopback address. Whoever reaches the server can read files with its rights, "
-            "so it listens on 127.0.0.1, [::1] and unix sockets only, until it speaks TLS"
+            "so without TLS (--tls-cert and --tls-key) it listens on 127.0.0.1, [::1] and unix sockets only"
         )
     return address
+
+
+def is_local(address: str) -> bool:
+    """Only this machine reaches the address: it is a unix socket, or on loopback. It needs no TLS and no token."""
+    return address.startswith("unix:") or _is_loopback(split_address(address)[0])
+
+
+def split_address(address: str) -> tuple[str, int]:
+    """Host, without brackets, and port of `HOST:PORT`. Raises AddressError."""
+    host, colon, port = address.rpartition(":")
+    if not (colon and host and port.isascii() and port.isdecimal() and int(port) <= 65535):
+        raise AddressError(f"{address!r} is no address; write HOST:PORT or unix:PATH")
+    return host.strip("[]"), int(port)
 
 
 def _is_loopback(host: str) -> bool:

@@ -1,32 +1,39 @@
 """RenderService: the handlers; each checks, asks the sessions, answers."""
 
 import asyncio
-import os
-from collections.abc import AsyncIterator, Awaitable
+import re
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias
+from weakref import WeakKeyDictionary
 
 import grpc
 
 from footlight.v1 import render_pb2, render_service_pb2, render_service_pb2_grpc, tile_pb2
+from footlight_server.api.auth import caller
 from footlight_server.api.errors import told
-from footlight_server.api.spec import check_stage, complete_spec
-from footlight_server.api.streams import CHUNK_BYTES, ClientGoneError, send
+from footlight_server.api.owner import check_owner
+from footlight_server.api.spec import complete_spec
+from footlight_server.api.stage_files import stage_files
+from footlight_server.api.streams import ClientGoneError, send, send_file
 from footlight_server.sessions.encoding import Batch, Encoding
-from footlight_server.sessions.errors import FieldViolation, InvalidFieldsError, ResultNotReadyError, TimeLimitError
+from footlight_server.sessions.errors import FieldViolation, InvalidFieldsError, QuotaError, ResultNotReadyError
 from footlight_server.sessions.session import Session
 from footlight_server.sessions.sessions import Sessions
 from footlight_server.sessions.viewer import MAX_RATE, Viewer
 from footlight_server.settings import Settings
+
+if TYPE_CHECKING:
+    from footlight_server.blobs.bundle import BundleStore
 
 _DEFAULT_PAGE = 50
 _LARGEST_PAGE = 1000
 _LONGEST_REQUEST_ID = 128
 # [batches] More than this on the way helps nobody.
 _MOST_CREDIT = 64
-# [s] For the first message of WatchRender; for the file system to answer.
+# [s] For the first message of WatchRender.
 _FIRST_MESSAGE = 30.0
-_FILE_PATIENCE = 30.0
+_NUMBER = re.compile(r"[0-9]{1,18}", re.ASCII)
 # A render is never started anew under the same name, so its tiles are all of one image.
 _EPOCH = 1
 
@@ -37,15 +44,17 @@ _ENCODINGS = {
 }
 
 Context: TypeAlias = grpc.aio.ServicerContext
-T = TypeVar("T")
 
 
 class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ignore[misc]
-    """Knows gRPC and the sessions, nothing of workers."""
+    """Knows gRPC and the sessions, nothing of workers. `bundles`: None where nothing can be uploaded."""
 
-    def __init__(self, sessions: Sessions, settings: Settings) -> None:
+    def __init__(self, sessions: Sessions, settings: Settings, bundles: "BundleStore | None" = None) -> None:
         self._sessions = sessions
         self._settings = settings
+        self._bundles = bundles
+        # Whose they are, for as long as they are remembered.
+        self._owners: WeakKeyDictionary[Session, str] = WeakKeyDictionary()
 
     @told
     async def CreateRender(
@@ -55,8 +64,14 @@ class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ign
         if len(request.request_id) > _LONGEST_REQUEST_ID:
             raise _invalid("request_id", f"longer than {_LONGEST_REQUEST_ID} characters")
         spec = complete_spec(request.spec)
-        await _patiently(asyncio.to_thread(check_stage, spec.stage_path, self._settings.roots))
-        session = self._sessions.create(spec, request.request_id)
+        files = await stage_files(spec, self._settings, self._bundles)
+        user = caller(context).user
+        # Two users may hit on the same request_id, and neither shall get the other's render.
+        request_id = f"{request.request_id} of {user}" if request.request_id else ""
+        if not self._sessions.knows(request_id):
+            self._check_quota(user)
+        session = self._sessions.create(spec, request_id, files)
+        self._owners.setdefault(session, user)
         return render_service_pb2.CreateRenderResponse(render=session.render)
 
     @told
@@ -71,7 +86,7 @@ class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ign
         self, request: render_service_pb2.ListRendersRequest, context: Context
     ) -> render_service_pb2.ListRendersResponse:
         """A page of them."""
-        if request.page_token and not request.page_token.isdecimal():
+        if request.page_token and not _NUMBER.fullmatch(request.page_token):
             raise _invalid("page_token", "not a token of this server")
         if request.page_size > _LARGEST_PAGE:
             raise _invalid("page_size", f"{request.page_size}: at most {_LARGEST_PAGE} are allowed")
@@ -84,6 +99,8 @@ class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ign
         self, request: render_service_pb2.CancelRenderRequest, context: Context
     ) -> render_service_pb2.CancelRenderResponse:
         """Have it end."""
+        known = self._sessions.get(request.name)
+        check_owner(caller(context), self._owners.get(known, ""), request.name)
         session = self._sessions.cancel(request.name, keep=request.keep_partial)
         return render_service_pb2.CancelRenderResponse(render=session.render)
 
@@ -110,11 +127,17 @@ class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ign
         session = self._sessions.get(request.name)
         path = _result_path(session, request.format)
         try:
-            await _send_file(path, request.offset, context)
+            await send_file(context, path, request.offset, _result_piece)
         except FileNotFoundError:
             raise ResultNotReadyError(f"the result of {session.name} is gone") from None
         except ClientGoneError:
             return
+
+    def _check_quota(self, user: str) -> None:
+        """Renders count as jobs of a frame do. Raises QuotaError."""
+        most = self._settings.quota.jobs
+        if most and sum(owner == user and not session.ended for session, owner in self._owners.items()) >= most:
+            raise QuotaError(f"{user} has {most} renders that have not ended; that is the most")
 
     async def _subscription(
         self, requests: AsyncIterator[render_service_pb2.WatchRenderRequest]
@@ -140,15 +163,6 @@ class RenderService(render_service_pb2_grpc.RenderServiceServicer):  # type: ign
 
 def _invalid(field: str, description: str) -> InvalidFieldsError:
     return InvalidFieldsError([FieldViolation(field, description)])
-
-
-async def _patiently(work: Awaitable[T]) -> T:
-    """What the file system answers. Raises TimeLimitError if it does not."""
-    try:
-        async with asyncio.timeout(_FILE_PATIENCE):
-            return await work
-    except TimeoutError:
-        raise TimeLimitError(f"the file system did not answer for {_FILE_PATIENCE:g} s") from None
 
 
 async def _take_grants(requests: AsyncIterator[render_service_pb2.WatchRenderRequest], viewer: Viewer) -> None:
@@ -191,6 +205,10 @@ def _batch(tiles: Batch, sequence: int) -> tile_pb2.TileBatch:
     return batch
 
 
+def _result_piece(total: int, offset: int, data: bytes) -> render_service_pb2.GetResultResponse:
+    return render_service_pb2.GetResultResponse(total_bytes=total, offset=offset, data=data)
+
+
 def _result_path(session: Session, wanted: render_service_pb2.ResultFormat) -> Path:
     render = session.render
     if not render.has_result:
@@ -201,18 +219,3 @@ def _result_path(session: Session, wanted: render_service_pb2.ResultFormat) -> P
             raise ResultNotReadyError(f"{session.name} was asked for without a PNG")
         return session.png_path
     return session.exr_path
-
-
-async def _send_file(path: Path, offset: int, context: Context) -> None:
-    """The file from `offset` on. Raises FileNotFoundError before anything is sent."""
-    file = await _patiently(asyncio.to_thread(path.open, "rb"))
-    try:
-        total = os.fstat(file.fileno()).st_size
-        if offset > total:
-            raise _invalid("offset", f"{offset}: the file has {total} bytes")
-        await _patiently(asyncio.to_thread(file.seek, offset))
-        while data := await _patiently(asyncio.to_thread(file.read, CHUNK_BYTES)):
-            await send(context, render_service_pb2.GetResultResponse(total_bytes=total, offset=offset, data=data))
-            offset += len(data)
-    finally:
-        file.close()

@@ -1,12 +1,13 @@
 """StageService: what would be rendered, without rendering."""
 
-import asyncio
+from typing import TYPE_CHECKING
 
 import grpc
 
 from footlight.v1 import render_pb2, stage_service_pb2, stage_service_pb2_grpc
 from footlight_server.api.errors import told
-from footlight_server.api.spec import check_stage, complete_spec
+from footlight_server.api.spec import complete_spec
+from footlight_server.api.stage_files import stage_files
 from footlight_server.sessions.errors import (
     FieldViolation,
     InvalidFieldsError,
@@ -19,13 +20,17 @@ from footlight_server.sessions.errors import (
 from footlight_server.sessions.sessions import Sessions
 from footlight_server.settings import Settings
 
+if TYPE_CHECKING:
+    from footlight_server.blobs.bundle import BundleStore
+
 
 class StageService(stage_service_pb2_grpc.StageServiceServicer):  # type: ignore[misc]
     """Explains through a worker, as a render without samples."""
 
-    def __init__(self, sessions: Sessions, settings: Settings) -> None:
+    def __init__(self, sessions: Sessions, settings: Settings, bundles: "BundleStore | None" = None) -> None:
         self._sessions = sessions
         self._settings = settings
+        self._bundles = bundles
 
     @told
     async def ExplainStage(
@@ -34,8 +39,8 @@ class StageService(stage_service_pb2_grpc.StageServiceServicer):  # type: ignore
         """Translate and report."""
         del context
         spec = complete_spec(request.spec)
-        await asyncio.to_thread(check_stage, spec.stage_path, self._settings.roots)
-        render = await self._sessions.explain(spec)
+        files = await stage_files(spec, self._settings, self._bundles)
+        render = await self._sessions.explain(spec, files)
         if render.state != render_pb2.RENDER_STATE_SUCCEEDED:
             raise _refusal(render)
         return stage_service_pb2.ExplainStageResponse(report=render.report, spec=render.spec)

@@ -90,7 +90,7 @@ class TaskPlan:
 
 @dataclass(frozen=True, slots=True)
 class LayerPlan:
-    """One layer to be. `spec`: the serialized LayerSpec. `depends`: whole layers; frame by frame is in the tasks' `needs`."""
+    """One layer to be. `spec`: the serialized LayerSpec. `depends`: whole layers; by the frame is in tasks' `needs`."""
 
     name: str
     spec: bytes
@@ -209,6 +209,23 @@ class Frame:
     task: int
     attempt: int
     stats: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class StagedFrame:
+    """A frame whose file is about to be renamed from `temp_path` to its path, or just was."""
+
+    attempt: Attempt
+    frame: Frame
+    temp_path: str
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a user has in the queue that has not ended."""
+
+    jobs_open: int
+    tasks_open: int
 
 
 @dataclass(frozen=True, slots=True)

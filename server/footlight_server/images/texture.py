@@ -1,6 +1,7 @@
 """Read an image file as linear Rec.709 texels: dome textures."""
 
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -17,10 +18,16 @@ Texels = NDArray[np.float32]
 TEXEL_BUDGET = 1 << 27
 
 
-def read_image(path: Path, color_space: ColorSpace = "auto", texel_budget: int = TEXEL_BUDGET) -> Texels:
+def read_image(
+    path: Path,
+    color_space: ColorSpace = "auto",
+    texel_budget: int = TEXEL_BUDGET,
+    admit: Callable[[int], None] | None = None,
+) -> Texels:
     """Texels (H, W, 3), first row at the top, linear Rec.709, of any format OpenImageIO reads.
 
-    The header is checked before any texel is read: more than `texel_budget` texels are refused. One channel
+    The header is checked before any texel is read: more than `texel_budget` texels are refused, and `admit` is
+    told how many there are, so that it may refuse them with an exception of its own. One channel
     becomes grey, two are grey and alpha, of more the first three count; alpha is left out. `auto` decodes
     sRGB where the file says so, and where it has 8-bit integers and says nothing; floating point is linear.
     Texels that are not finite are passed on as they are. Raises ImageError naming the file and the reason.
@@ -36,13 +43,15 @@ def read_image(path: Path, color_space: ColorSpace = "auto", texel_budget: int =
     if source is None:
         raise ImageError(f"{path}: cannot be read: {oiio.geterror()}")
     try:
-        return _read(path, source, color_space, texel_budget)
+        _check(path, source.spec(), texel_budget)
+        if admit is not None:
+            admit(source.spec().width * source.spec().height)
+        return _read(path, source, color_space)
     finally:
         source.close()
 
 
-def _read(path: Path, source: oiio.ImageInput, color_space: ColorSpace, texel_budget: int) -> Texels:
-    spec = source.spec()
+def _check(path: Path, spec: oiio.ImageSpec, texel_budget: int) -> None:
     size = f"{spec.width}x{spec.height}"
     if spec.deep or spec.depth > 1:
         raise ImageError(f"{path}: cannot be read: deep images and volumes are not textures")
@@ -50,6 +59,10 @@ def _read(path: Path, source: oiio.ImageInput, color_space: ColorSpace, texel_bu
         raise ImageError(f"{path}: cannot be read: {size} texels, {spec.nchannels} channels")
     if spec.width * spec.height > texel_budget:
         raise ImageError(f"{path}: cannot be read: {size} texels; at most {texel_budget} are allowed")
+
+
+def _read(path: Path, source: oiio.ImageInput, color_space: ColorSpace) -> Texels:
+    spec = source.spec()
     channels = 1 if spec.nchannels < 3 else 3
     pixels = source.read_image(0, 0, 0, channels, oiio.FLOAT)
     if pixels is None:

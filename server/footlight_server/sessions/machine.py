@@ -39,6 +39,8 @@ class Patience:
     finishing: float = 30.0
     # From SIGKILL to the process being gone.
     dying: float = 2.0
+    # From being taken up to the end, whatever the worker says; 0: no limit.
+    total: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +51,9 @@ class State:
     created: float = 0.0
     started: float | None = None
     ended: float | None = None
-    # When patience ends; None: never.
+    # When patience with this phase ends, and with the render as a whole; None: never.
     deadline: float | None = None
+    latest: float | None = None
     failure: Failure | None = None
     has_image: bool = False
     # CancelRender was called; what has converged shall be written.
@@ -155,20 +158,24 @@ def step(  # noqa: C901, PLR0911 - the one place of all transitions
             ended = replace(state, phase=phase, ended=now, deadline=None, has_image=has_image)
             return ended, (Effect.ANNOUNCE,) if has_image else (Effect.DISCARD_FILES, Effect.ANNOUNCE)
         case TakenUp():
-            opening = replace(state, phase=Phase.OPENING, started=now, deadline=now + patience.opening)
-            return opening, (Effect.ANNOUNCE,)
+            latest = now + patience.total if patience.total else None
+            return _enter(replace(state, started=now, latest=latest), Phase.OPENING, now + patience.opening)
         case RenderingBegan():
             return _enter(state, Phase.RENDERING, now + patience.rendering)
         case WritingBegan():
             return _enter(state, Phase.WRITING, now + patience.writing)
         case Heard():
             if state.phase is Phase.RENDERING and not state.keep:
-                return replace(state, deadline=now + patience.rendering), ()
+                return replace(state, deadline=_earlier(now + patience.rendering, state.latest)), ()
             return state, ()
 
 
 def _enter(state: State, phase: Phase, deadline: float) -> tuple[State, tuple[Effect, ...]]:
-    return replace(state, phase=phase, deadline=deadline), (Effect.ANNOUNCE,)
+    return replace(state, phase=phase, deadline=_earlier(deadline, state.latest)), (Effect.ANNOUNCE,)
+
+
+def _earlier(deadline: float, latest: float | None) -> float:
+    return deadline if latest is None else min(deadline, latest)
 
 
 def _end(state: State, now: float, failure: Failure) -> tuple[State, tuple[Effect, ...]]:
@@ -202,12 +209,19 @@ def _cancel(state: State, now: float, patience: Patience, *, keep: bool) -> tupl
 def _out_of_patience(state: State, now: float, patience: Patience) -> tuple[State, tuple[Effect, ...]]:
     if state.deadline is None or now < state.deadline:
         return state, ()
-    what = {
-        Phase.OPENING: f"opening the stage took longer than the limit of {patience.opening:g} s",
-        Phase.RENDERING: f"the worker said nothing for {patience.rendering:g} s",
-        Phase.WRITING: f"writing the image took longer than {patience.writing:g} s",
-    }.get(state.phase, "the deadline passed")
+    if state.latest is not None and now >= state.latest and not state.keep:
+        what = f"it was not done within its limit of {patience.total:g} s"
+    else:
+        what = _silence(state.phase, patience)
     failure = state.failure or Failure(FailureReason.TIMEOUT, what)
     if state.killed:  # it does not even die; the render ends all the same
         return _end(state, now, failure)
     return _kill(replace(state, failure=failure), now, patience)
+
+
+def _silence(phase: Phase, patience: Patience) -> str:
+    return {
+        Phase.OPENING: f"opening the stage took longer than the limit of {patience.opening:g} s",
+        Phase.RENDERING: f"the worker said nothing for {patience.rendering:g} s",
+        Phase.WRITING: f"writing the image took longer than {patience.writing:g} s",
+    }.get(phase, "the deadline passed")

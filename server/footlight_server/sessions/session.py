@@ -5,13 +5,13 @@ import contextlib
 import logging
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from footlight.v1 import render_pb2
+from footlight.v1 import render_pb2, report_pb2
 from footlight.worker.v1 import worker_pb2
 from footlight_server.sessions.encoding import Encoding, TileEncoder
 from footlight_server.sessions.machine import (
@@ -23,6 +23,7 @@ from footlight_server.sessions.machine import (
     Finished,
     Heard,
     Patience,
+    Phase,
     RenderingBegan,
     State,
     TakenUp,
@@ -33,10 +34,21 @@ from footlight_server.sessions.machine import (
 from footlight_server.sessions.tile_queue import TileVersion
 from footlight_server.sessions.viewer import Viewer
 from footlight_server.workers.failure import Failure, FailureReason
-from footlight_server.workers.pool import WorkerPool
-from footlight_server.workers.process import WorkerGoneError, WorkerProcess
+from footlight_server.workers.process import WorkerGoneError
+from footlight_server.workers.shown import shown_message, shown_stage
+from footlight_server.workers.source import Worker, WorkerSource
 
 log = logging.getLogger(__name__)
+
+# [s] For the file system to make a directory; for a worker to be had, which warms up on a machine that may be busy.
+_MAKING = 300.0
+_TAKING = 300.0
+# What a worker may say of itself; a stage that is not trusted may speak through it. [characters] Of a failure; [bytes]
+# of a report and of statistics, which clients take 4 MB of; what a database's integer holds.
+_LONGEST_FAILURE = 4000
+_LARGEST_REPORT = 2 << 20
+_LARGEST_STATS = 256 << 10
+_MOST_MEMORY = (1 << 63) - 1
 
 
 class Session:
@@ -60,7 +72,9 @@ class Session:
         self._patience = patience
         self._encoders = encoders
         self._state = State(created=time.monotonic())
-        self._worker: WorkerProcess | None = None
+        self._worker: Worker | None = None
+        # Called when the state has changed, with the render as it is then.
+        self.listener: Callable[[render_pb2.Render], None] | None = None
         self._encoder: TileEncoder | None = None
         # aov -> tile -> version: what a viewer that joins has missed.
         self._shown: dict[str, dict[int, TileVersion]] = {}
@@ -68,6 +82,7 @@ class Session:
         self._talk: set[asyncio.Task[None]] = set()
         self._clock = time.time() - time.monotonic()
         self._render = render_pb2.Render(name=f"renders/{identifier}", spec=task.spec)
+        self._render.spec.stage_path = shown_stage(task, task.spec)
         self._describe()
 
     @property
@@ -98,6 +113,29 @@ class Session:
         return copy
 
     @property
+    def progress(self) -> render_pb2.Progress:
+        """How far it is; a copy."""
+        copy = render_pb2.Progress()
+        copy.CopyFrom(self._render.progress)
+        return copy
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why it failed; None if it did not."""
+        return self._state.failure if self._state.phase is Phase.FAILED else None
+
+    @property
+    def peak_memory(self) -> int:
+        """[bytes] The most its worker was seen to hold, from outside and by itself."""
+        seen = self._worker.peak_memory if self._worker is not None else 0
+        return min(max(seen, self._render.stats.peak_memory_bytes), _MOST_MEMORY)
+
+    @property
+    def last_words(self) -> str:
+        """What its worker wrote to standard error, the end of it."""
+        return self._worker.last_words if self._worker is not None else ""
+
+    @property
     def film_bytes(self) -> int:
         """[bytes] Of pixels that are kept for viewers."""
         return self._encoder.film_bytes if self._encoder is not None else 0
@@ -111,6 +149,10 @@ class Session:
     def png_path(self) -> Path:
         """Where the picture is, if the spec asks for one and there is an image."""
         return Path(self._task.png_path)
+
+    def move_files(self, exr: Path, png: Path) -> None:
+        """The files of the result are elsewhere now."""
+        self._task.exr_path, self._task.png_path = str(exr), str(png)
 
     # --- what clients do ---
 
@@ -142,13 +184,13 @@ class Session:
 
     # --- its course ---
 
-    async def run(self, pool: WorkerPool) -> None:
+    async def run(self, source: WorkerSource) -> None:
         """Take a worker and see the render to its end. Cancelled only when the render has ended or the server stops."""
         try:
             await self._make_directory()
-            self._worker = await pool.take()
+            self._worker = await self._take(source)
             if not self.ended:
-                await self._converse(self._worker, pool)
+                await self._converse(self._worker, source)
         except WorkerGoneError as gone:
             self._apply(WorkerGone(gone.failure))
         except Exception as error:
@@ -161,11 +203,21 @@ class Session:
 
     async def _make_directory(self) -> None:
         try:
-            await asyncio.to_thread(self._directory.mkdir, 0o700)
+            async with asyncio.timeout(_MAKING):
+                await asyncio.to_thread(self._directory.mkdir, 0o700)
         except OSError as error:
-            raise WorkerGoneError(Failure(FailureReason.OUTPUT, f"no place for the image: {error}")) from error
+            why = str(error) or "the file system does not answer"
+            raise WorkerGoneError(Failure(FailureReason.OUTPUT, f"no place for the image: {why}")) from error
 
-    async def _converse(self, worker: WorkerProcess, pool: WorkerPool) -> None:
+    async def _take(self, source: WorkerSource) -> Worker:
+        try:
+            async with asyncio.timeout(_TAKING):
+                return await source.take(self._task)
+        except TimeoutError:
+            message = f"no worker was ready within {_TAKING:g} s"
+            raise WorkerGoneError(Failure(FailureReason.TIMEOUT, message)) from None
+
+    async def _converse(self, worker: Worker, source: WorkerSource) -> None:
         await worker.send(worker_pb2.WorkerRequest(task=self._task))
         self._apply(TakenUp())
         while not self.ended:
@@ -177,7 +229,7 @@ class Session:
                 continue
             self._hear(event, worker)
             if event.HasField("progress"):  # not earlier: the first tiles need the processor more
-                pool.prepare_spare()
+                source.prepare_spare()
 
     def _loop_time(self, deadline: float | None) -> float | None:
         """The event loop's time for a monotonic time."""
@@ -185,12 +237,13 @@ class Session:
             return None
         return deadline - time.monotonic() + asyncio.get_running_loop().time()
 
-    def _hear(self, event: worker_pb2.WorkerEvent, worker: WorkerProcess) -> None:
+    def _hear(self, event: worker_pb2.WorkerEvent, worker: Worker) -> None:
         """Take in what the worker says."""
         match event.WhichOneof("event"):
             case "opened":
                 self._render.spec.CopyFrom(event.opened.spec)
-                self._render.report.CopyFrom(event.opened.report)
+                self._render.spec.stage_path = shown_stage(self._task, event.opened.spec)
+                self._render.report.CopyFrom(_bounded(event.opened.report))
             case "film":
                 self._encoder = TileEncoder(worker.open_film(event.film))
                 self._publish()
@@ -206,6 +259,8 @@ class Session:
             case "writing":
                 self._apply(WritingBegan())
             case "done":
+                if event.done.stats.ByteSize() > _LARGEST_STATS:
+                    raise ValueError(f"the worker's statistics have {event.done.stats.ByteSize()} bytes")
                 self._render.stats.CopyFrom(event.done.stats)
                 self._apply(Finished(has_image=event.done.has_image, cancelled=event.done.cancelled))
             case "failed":
@@ -241,6 +296,8 @@ class Session:
         match effect:
             case Effect.ANNOUNCE:
                 log.info("%s: %s", self.name, self._state.phase.name.lower())
+                if self.listener is not None:
+                    self.listener(self.render)
                 for viewer in self._viewers:
                     viewer.show_render(self.render, ended=self.ended)
             case Effect.FINISH_WORKER:
@@ -267,7 +324,7 @@ class Session:
             render.end_time.CopyFrom(self._timestamp(state.ended))
         if state.phase.ended and state.failure is not None:
             render.failure.reason = render_pb2.FailureReason.Value(f"FAILURE_REASON_{state.failure.reason.name}")
-            render.failure.message = state.failure.message
+            render.failure.message = shown_message(self._task, state.failure.message)
             render.failure.prim_path = state.failure.prim_path
 
     def _timestamp(self, monotonic: float) -> Timestamp:
@@ -280,4 +337,13 @@ class Session:
 def _failure(message: render_pb2.Failure) -> Failure:
     name = render_pb2.FailureReason.Name(message.reason).removeprefix("FAILURE_REASON_")
     reason = FailureReason.__members__.get(name, FailureReason.INTERNAL)
-    return Failure(reason, message.message, message.prim_path)
+    return Failure(reason, message.message[:_LONGEST_FAILURE], message.prim_path[:_LONGEST_FAILURE])
+
+
+def _bounded(report: report_pb2.StageReport) -> report_pb2.StageReport:
+    """The report, or if it is too long for anybody to be told, one that says so."""
+    if report.ByteSize() <= _LARGEST_REPORT:
+        return report
+    said = report_pb2.StageReport()
+    said.remarks.add(message=f"the report of this stage has {report.ByteSize()} bytes and is left out")
+    return said

@@ -1,13 +1,12 @@
 """All renders of a server: the queue in front of the workers, what is remembered, and the end."""
 
 import asyncio
-import math
-import os
 import uuid
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import count, islice
+from pathlib import Path
 
 from footlight.v1 import render_pb2
 from footlight.worker.v1 import worker_pb2
@@ -17,7 +16,9 @@ from footlight_server.sessions.errors import (
     RequestIdReusedError,
     ShuttingDownError,
 )
+from footlight_server.sessions.machine import Patience
 from footlight_server.sessions.session import Session
+from footlight_server.sessions.tasks import make_task
 from footlight_server.settings import Settings
 from footlight_server.workers.pool import WorkerPool
 
@@ -27,6 +28,8 @@ REMEMBERED = 100
 KEPT_PIXELS = 256 << 20
 # [renders] That may wait.
 LONGEST_QUEUE = 10_000
+# [renders] Made for the farm that have ended and can still be asked for, without their pixels.
+_REMEMBERED_ADOPTED = 32
 # [s] For all renders to end when the server stops.
 _STOPPING = 4.0
 
@@ -70,30 +73,36 @@ class Sessions:
         # request_id -> what was asked for, and the render that came of it.
         self._requests: dict[str, tuple[bytes, str]] = {}
         self._numbers = count(1)
+        # Renders that the farm runs, by name: what clients may look at, and nothing of what is above.
+        self._adopted: dict[str, Session] = {}
         self._stopping = False
 
     def warm_up(self) -> None:
         """Have the first worker ready before the first render."""
         self._pool.prepare()
 
-    def create(self, spec: render_pb2.RenderSpec, request_id: str) -> Session:
-        """Accept a render, or find the one that the same request made before."""
+    def create(self, spec: render_pb2.RenderSpec, request_id: str, files: Path | None = None) -> Session:
+        """Accept a render, or find the one that the same request made before. `files`: of the spec's bundle."""
         asked = spec.SerializeToString(deterministic=True)
         if request_id in self._requests:
             known, name = self._requests[request_id]
             if known != asked:
                 raise RequestIdReusedError(f"request_id {request_id!r} named a different render, {name}")
             return self.get(name)
-        session = self._start(spec, explain=False)
+        session = self._start(spec, files, explain=False)
         self._sessions[session.name] = session
         if request_id:
             self._requests[request_id] = (asked, session.name)
             session.request_id = request_id
         return session
 
+    def knows(self, request_id: str) -> bool:
+        """A render was made with this request_id, and is remembered."""
+        return request_id in self._requests
+
     def get(self, name: str) -> Session:
-        """The render of that name. Raises RenderNotFoundError."""
-        session = self._sessions.get(name)
+        """The render of that name, the farm's as well. Raises RenderNotFoundError."""
+        session = self._sessions.get(name) or self._adopted.get(name)
         if session is None:
             raise RenderNotFoundError(f"no render {name!r}")
         return session
@@ -104,21 +113,42 @@ class Sessions:
         found = list(islice(numbered, size + 1))
         return Page([s.render for s in found[:size]], str(found[size].number) if len(found) > size else "")
 
+    def adopt(self, task: worker_pb2.Task, directory: Path, patience: Patience) -> Session:
+        """A session that the farm runs by itself: no slot, no place in the list, but watched like any render."""
+        session = Session(uuid.uuid4().hex, 0, task, directory, patience, self._encoders)
+        self._adopted[session.name] = session
+        while len(self._adopted) > _REMEMBERED_ADOPTED:
+            ended = next((name for name, known in self._adopted.items() if known.ended), None)
+            if ended is None:
+                break
+            del self._adopted[ended]
+        return session
+
     def cancel(self, name: str, *, keep: bool) -> Session:
-        """Have a render end soon."""
+        """Have a render end soon. The farm's are stopped through their job."""
         session = self.get(name)
+        if name in self._adopted:
+            raise RenderNotFoundError(f"{name} belongs to a job; cancel the job, or skip its task")
         if name in self._running:
             self._running[name].cancel(keep=keep)
         return session
 
-    async def explain(self, spec: render_pb2.RenderSpec) -> render_pb2.Render:
-        """Translate a stage without rendering it; if the caller gives up, so do we."""
-        running = self._running[self._start(spec, explain=True).name]
+    def bundles_in_use(self) -> set[str]:
+        """Of the renders that have not ended; the farm knows its own."""
+        return {running.session.render.spec.bundle for running in self._running.values()} - {""}
+
+    async def explain(self, spec: render_pb2.RenderSpec, files: Path | None = None) -> render_pb2.Render:
+        """Translate a stage without rendering it; if the caller gives up, so do we. `files`: of the spec's bundle."""
+        running = self._running[self._start(spec, files, explain=True).name]
         try:
             await asyncio.shield(running.task)
             return running.session.render
         finally:
             running.cancel(keep=False)
+
+    def drain(self) -> None:
+        """Accept nothing more; what was accepted goes on."""
+        self._stopping = True
 
     async def close(self) -> None:
         """End everything, within seconds."""
@@ -133,22 +163,15 @@ class Sessions:
         await self._pool.close()
         self._encoders.shutdown(wait=False, cancel_futures=True)
 
-    def _start(self, spec: render_pb2.RenderSpec, *, explain: bool) -> Session:
+    def _start(self, spec: render_pb2.RenderSpec, files: Path | None, *, explain: bool) -> Session:
         if self._stopping:
             raise ShuttingDownError("the server is stopping")
         if len(self._running) >= LONGEST_QUEUE:
             raise QueueFullError(f"{len(self._running)} renders wait; that is the most")
         identifier = uuid.uuid4().hex
         directory = self._settings.scratch / identifier
-        task = worker_pb2.Task(
-            spec=spec,
-            explain=explain,
-            exr_path=str(directory / "image.exr"),
-            png_path=str(directory / "image.png"),
-            roots=[str(root) for root in self._settings.roots],
-            open_cpu_seconds=math.ceil(self._settings.patience.opening * (os.cpu_count() or 1)),
-            memory_bytes=self._settings.worker_memory,
-        )
+        task = make_task(spec, self._settings, directory, files)
+        task.explain = explain
         session = Session(identifier, next(self._numbers), task, directory, self._settings.patience, self._encoders)
         running = asyncio.create_task(self._run(session), name=session.name)
         self._running[session.name] = _Running(session, running)

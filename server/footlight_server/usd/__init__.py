@@ -1,5 +1,6 @@
 """From a USD stage to calls on a SceneSink: the only importer of pxr."""
 
+from footlight_server.usd.context import Admit
 from footlight_server.usd.errors import (
     CameraError,
     StageError,
@@ -15,6 +16,7 @@ from footlight_server.usd.sink import SceneSink
 from footlight_server.usd.translate import translate
 
 __all__ = [
+    "Admit",
     "Assumption",
     "Budget",
     "CameraError",

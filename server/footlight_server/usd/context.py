@@ -15,8 +15,10 @@ from footlight_server.usd.sink import Doubles, Floats, SceneSink
 if TYPE_CHECKING:
     from footlight_server.usd.prims.materials import Looks
 
+# Is told how many texels an image has before they are read. Raises StageLimitError.
+Admit = Callable[[int], None]
 # Reads an image file: path -> (H, W, 3) float32, linear. Raises OSError or ValueError with the reason.
-LoadImage = Callable[[str], NDArray[np.float32]]
+LoadImage = Callable[[str, Admit], NDArray[np.float32]]
 
 
 class Subdivide(Protocol):
@@ -46,11 +48,16 @@ class Context:
 
     def count(self, name: str, n: int, path: object) -> None:
         """Adds to the counts. Raises StageLimitError when that breaks the budget."""
-        counts = self.report.counts
-        counts[name] += n
-        limit = getattr(self.request.budget, name, None)
-        if limit is not None and counts[name] > limit:
-            raise StageLimitError(f"{path}: with it the stage has {counts[name]} {name}, allowed are {limit}")
+        self.check(name, n, path)
+        self.report.counts[name] += n
+
+    def check(self, name: str, n: int, path: object) -> None:
+        """Raises StageLimitError if so many more would break the budget."""
+        total = self.report.counts[name] + n
+        limit = getattr(self.request.budget, name, 0)
+        if limit and total > limit:
+            message = f"{path}: with it the stage has {total} {name}, allowed are {limit}"
+            raise StageLimitError(message, str(path))
 
 
 @dataclass(slots=True)

@@ -4,6 +4,10 @@
 class StageError(Exception):
     """The stage cannot be rendered; the message names the file or prim and the reason."""
 
+    def __init__(self, message: str, prim_path: str = "") -> None:
+        super().__init__(message)
+        self.prim_path = prim_path
+
 
 class StageNotFoundError(StageError):
     """There is no such file."""

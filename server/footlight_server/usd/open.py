@@ -1,28 +1,37 @@
 """Opens a stage, or says why not in one sentence that names the file."""
 
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pxr import Tf, Usd
+from pxr import Sdf, Tf, Usd
 
+from footlight_server.usd.diagnostics import plain, plain_diagnostics
 from footlight_server.usd.errors import StageLimitError, StageMalformedError, StageNotFoundError, StageUnreadableError
-from footlight_server.usd.scan import scan_layers
+from footlight_server.usd.roots import check_below, file_of, is_below
+from footlight_server.usd.scan import scan_folder, scan_layers
+from footlight_server.usd.unfold import Unfolding
 
 _SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-# Parse errors quote the line they fell over; it may come from a file the caller is not allowed to read.
-_QUOTED_SOURCE = re.compile(r"\s*(?:\(at sub-part[^)]*\)\s*)?\bat '.*?'(?= in <|\s*$)", re.DOTALL | re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
 class OpenLimits:
-    """Upper limits for the files of a stage; time and memory are limited by the worker process."""
+    """Upper limits for the files of a stage; time and memory are limited by the worker process.
+
+    Attributes:
+        text_bytes: of one text layer.
+        layers: that are used.
+        prims: that references may unfold to, told before they do; 0: no limit.
+        every_file: look at all files below the roots beforehand, not only at those that text layers name.
+    """
 
     text_bytes: int = 2 << 30
     layers: int = 20_000
+    prims: int = 0
+    every_file: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,37 +54,52 @@ def open_stage(path: Path, *, roots: Sequence[Path] = (), limits: OpenLimits | N
         StageNotFoundError, StageUnreadableError, StageMalformedError, StageLimitError: with path and reason.
     """
     limits = limits or OpenLimits()
-    _check_file(path)
     check_below(path, roots)
-    scan_layers(path, max_text_bytes=limits.text_bytes, max_layers=limits.layers)
+    _check_file(path)
+    if limits.every_file and roots:
+        for root in roots:
+            scan_folder(root, max_text_bytes=limits.text_bytes)
+    else:
+        scan_layers(path, max_text_bytes=limits.text_bytes, max_layers=limits.layers)
     # A truncated crate file that is memory-mapped kills the process (SIGBUS); read calls fail cleanly.
     os.environ.setdefault("USDC_USE_PREAD", "1")
     try:
-        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+        with plain_diagnostics(roots):
+            # What it has opened stays so until the stage is: nothing is read twice.
+            unfolding = _check_prims(path, roots, limits.prims) if limits.prims else None
+            stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+            del unfolding
     except Tf.ErrorException as error:
-        raise StageMalformedError(f"{path}: {reason_of(error)}") from None
+        raise StageMalformedError(f"{path}: {reason_of(error, roots)}") from None
     if not stage:
         raise StageMalformedError(f"{path}: USD cannot open it as a stage")
+    check_layers(stage, roots, limits.layers)
+    errors = {plain(str(error), roots) for error in stage.GetCompositionErrors()}
+    return OpenedStage(stage, tuple(sorted(errors)))
+
+
+def check_layers(stage: Any, roots: Sequence[Path], most: int = 0) -> None:
+    """Raises StageLimitError, or StageUnreadableError unless all layers that are open by now lie below the roots.
+
+    No look beforehand says where all references lead: expressions in them are evaluated as they are composed, and the
+    layers of value clips are opened as values are asked for. `most` layers are allowed; 0: any number.
+    """
     layers = stage.GetUsedLayers()
-    if len(layers) > limits.layers:
-        raise StageLimitError(f"{path}: uses {len(layers)} layers, allowed are {limits.layers}")
+    if 0 < most < len(layers):
+        path = stage.GetRootLayer().identifier
+        raise StageLimitError(f"{path}: uses {len(layers)} layers, allowed are {most}")
     for layer in layers:
         if layer.realPath:
-            check_below(Path(layer.realPath.split("[", 1)[0]), roots)
-    errors = tuple(sorted({hide_source(str(error)) for error in stage.GetCompositionErrors()}))
-    return OpenedStage(stage, errors)
+            check_below(file_of(layer.realPath), roots)
 
 
-def check_below(path: Path, roots: Sequence[Path]) -> None:
-    """Raises StageUnreadableError unless `path`, with links resolved, lies below one of the roots (none: anywhere)."""
-    real = path.resolve()
-    if roots and not any(real.is_relative_to(root.resolve()) for root in roots):
-        raise StageUnreadableError(f"{path}: outside the directories this server may read")
-
-
-def hide_source(message: str) -> str:
-    """A USD message in one line, without the source text that it quotes."""
-    return " ".join(_QUOTED_SOURCE.sub("", message).split())
+def _check_prims(path: Path, roots: Sequence[Path], most: int) -> Unfolding | None:
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    if not layer:
+        return None
+    unfolding = Unfolding(layer, most, lambda identifier: is_below(file_of(identifier), roots))
+    unfolding.check()
+    return unfolding
 
 
 def _check_file(path: Path) -> None:
@@ -91,8 +115,8 @@ def _check_file(path: Path) -> None:
         raise StageMalformedError(f"{path}: is empty")
 
 
-def reason_of(error: Tf.ErrorException) -> str:
+def reason_of(error: Tf.ErrorException, roots: Sequence[Path]) -> str:
     """The last thing USD says about what went wrong, in one line."""
-    commentaries = [hide_source(str(entry.commentary)) for entry in error.args]
+    commentaries = [plain(str(entry.commentary), roots) for entry in error.args]
     wanted = [c for c in commentaries if c and not c.startswith("Failed to open layer")]
     return wanted[-1] if wanted else "not a USD layer, or a damaged one"

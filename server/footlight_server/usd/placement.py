@@ -14,7 +14,9 @@ def place(ctx: Context, root: Group) -> list[tuple[str, Doubles]]:
     """Hands all instances and lights to the sink; (path, bounds (2, 3)) of everything placed in the world."""
     bounds: list[tuple[str, Doubles]] = []
     places: dict[int, list[Doubles]] = {id(root): [np.eye(4)[None]]}
-    for group in _parents_first(root):
+    groups = _parents_first(root)
+    _check_instances(ctx, groups)
+    for group in groups:
         world = places.pop(id(group))
         transforms = world[0] if len(world) == 1 else np.concatenate(world)
         if group is root:
@@ -29,6 +31,19 @@ def place(ctx: Context, root: Group) -> list[tuple[str, Doubles]]:
             nested = (local[None, :] @ transforms[:, None]).reshape(-1, 4, 4)
             places.setdefault(id(child), []).append(nested)
     return bounds
+
+
+def _check_instances(ctx: Context, groups: list[Group]) -> None:
+    """Raises StageLimitError before a place is made for what is too much: ten groups can mean 10^10 places."""
+    total = 0
+    counts = dict.fromkeys(map(id, groups), 0)
+    counts[id(groups[0])] = 1
+    for group in groups:
+        for child, local in group.children:
+            placed = counts[id(group)] * len(local)
+            counts[id(child)] += placed
+            total += placed
+            ctx.check("instances", total, child.path)
 
 
 def union(boxes: list[Doubles]) -> Doubles | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Upper limits; a stage beyond one of them is refused with the prim's path."""
+    """Upper limits; a stage beyond one of them is refused with the prim's path. 0: no limit."""
 
     prims: int = 2_000_000
     points: int = 400_000_000
@@ -14,6 +14,7 @@ class Budget:
     instances: int = 20_000_000
     lights: int = 100_000
     pixels: int = 1 << 28
+    texels: int = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)

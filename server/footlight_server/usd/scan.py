@@ -4,9 +4,13 @@ The parser recurses for every bracket and dies on a few megabytes of them (a sta
 files that nest deeper than any real stage are refused here.
 """
 
+import os
 import re
-import zipfile
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -33,6 +37,12 @@ _STEP[list(b"([{")] = 1
 _STEP[list(b")]}")] = -1
 _TEXT_MAGIC = b"#usda"
 _OLD_TEXT_MAGIC = b"#sdf"
+_PACKAGE_MAGIC = b"PK"
+# The header before a file in a zip archive (PKWARE's APPNOTE 4.3.7): magic, version, flags, method, time, date, CRC,
+# size, size when unpacked, sizes of name and extra field.
+_HEADER = struct.Struct("<4s5H3I2H")
+_MEMBER_MAGIC = b"PK\3\4"
+_MAX_PACKAGES = 8  # one in the other
 
 
 def bracket_depth(text: bytes) -> int:
@@ -70,12 +80,23 @@ def scan_layers(root: Path, *, max_text_bytes: int, max_layers: int) -> None:
             raise StageLimitError(f"{root}: names more than {max_layers} layers")
 
 
+def scan_folder(folder: Path, *, max_text_bytes: int) -> None:
+    """Checks every layer below a folder, however it may be referred to. Does not follow links."""
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            if path.is_file() and not path.is_symlink():
+                _scan_layer(path, max_text_bytes)
+
+
 def _scan_layer(path: Path, max_text_bytes: int) -> set[Path]:
+    """The assets that a text layer names; nothing for other files."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
-            if head.startswith(b"PK"):
-                _scan_package(path, max_text_bytes)
+            if head.startswith(_PACKAGE_MAGIC):
+                if path.suffix.lower() == ".usdz":
+                    _scan_package(str(path), file, 0, path.stat().st_size, max_text_bytes)
                 return set()
             if not is_text(head):
                 return set()
@@ -93,20 +114,47 @@ def _scan_layer(path: Path, max_text_bytes: int) -> set[Path]:
     }
 
 
-def _scan_package(path: Path, max_text_bytes: int) -> None:
-    try:
-        with zipfile.ZipFile(path) as package:
-            for member in package.infolist():
-                if member.compress_type != zipfile.ZIP_STORED:
-                    raise StageMalformedError(f"{path}: {member.filename} is compressed, usdz stores its files")
-                if not member.filename.endswith((".usd", ".usda")):
-                    continue
-                if member.file_size > max_text_bytes:
-                    raise StageLimitError(
-                        f"{path}: {member.filename} has {member.file_size} bytes, allowed are {max_text_bytes}"
-                    )
-                text = package.read(member)
-                if is_text(text[:8]):
-                    check_text(f"{path}[{member.filename}]", text)
-    except zipfile.BadZipFile as error:
-        raise StageMalformedError(f"{path}: not a usdz package: {error}") from error
+def _scan_package(name: str, file: BinaryIO, begin: int, end: int, max_text_bytes: int, nesting: int = 0) -> None:
+    """Checks the package that lies in [begin, end) of a file."""
+    members = list(package_members(file, begin, end))
+    if not members or nesting > _MAX_PACKAGES:
+        raise StageMalformedError(f"{name}: not a usdz package")
+    for member in members:
+        if member.packed:
+            raise StageMalformedError(f"{name}: {member.name} is compressed or encrypted, usdz stores its files")
+        inner = f"{name}[{member.name}]"
+        file.seek(member.begin)
+        head = file.read(min(8, member.size))
+        if head.startswith(_PACKAGE_MAGIC) and member.name.lower().endswith(".usdz"):
+            _scan_package(inner, file, member.begin, member.begin + member.size, max_text_bytes, nesting + 1)
+        if is_text(head):
+            if member.size > max_text_bytes:
+                raise StageLimitError(f"{inner}: {member.size} bytes of text, allowed are {max_text_bytes}")
+            check_text(inner, head + file.read(member.size - len(head)))
+
+
+@dataclass(frozen=True, slots=True)
+class PackageMember:
+    """A file in a usdz package: where it lies in the package's own file [bytes], and whether it is compressed."""
+
+    name: str
+    begin: int
+    size: int
+    packed: bool
+
+
+def package_members(file: BinaryIO, begin: int, end: int) -> Iterator[PackageMember]:
+    """The files of the package in [begin, end) as USD finds them (sdf/zipFile.cpp): each after its own header.
+
+    Other programs go by the directory at the end, which may name other files.
+    """
+    at = begin
+    while at + _HEADER.size <= end:
+        file.seek(at)
+        magic, _, flags, method, _, _, _, size, _, name_size, extra_size = _HEADER.unpack(file.read(_HEADER.size))
+        if magic != _MEMBER_MAGIC:
+            return
+        name = file.read(name_size).decode(errors="replace")
+        at += _HEADER.size + name_size + extra_size
+        yield PackageMember(name, at, max(0, min(size, end - at)), packed=method != 0 or bool(flags & 1))
+        at += size

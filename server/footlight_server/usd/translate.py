@@ -8,8 +8,9 @@ import numpy as np
 from pxr import Gf, Tf, Usd, UsdGeom, UsdShade
 
 from footlight_server.usd.context import Context, Group, GroupLight, LoadImage, Part, Subdivide
+from footlight_server.usd.diagnostics import plain_diagnostics
 from footlight_server.usd.errors import StageLimitError, StageMalformedError
-from footlight_server.usd.open import OpenedStage, reason_of
+from footlight_server.usd.open import OpenedStage, check_layers, reason_of
 from footlight_server.usd.placement import place, union
 from footlight_server.usd.prims.camera import find_camera, frame_camera, leave_out_clipped, set_camera
 from footlight_server.usd.prims.gprims import SHAPE_TYPES, translate_shape
@@ -69,11 +70,18 @@ def translate(
         CameraError: the camera asked for is missing or unusable.
         StageLimitError: the stage is beyond the request's budget.
         StageMalformedError: a file of the stage turns out to be damaged while it is read.
+        StageUnreadableError: a file that is used outside the roots.
     """
     try:
-        return _translate(opened, sink, request, load_image, subdivide)
+        with plain_diagnostics(request.roots):
+            report = _translate(opened, sink, request, load_image, subdivide)
+        if request.roots:
+            check_layers(opened.stage, request.roots)
     except Tf.ErrorException as error:
-        raise StageMalformedError(f"{opened.stage.GetRootLayer().identifier}: {reason_of(error)}") from None
+        raise StageMalformedError(
+            f"{opened.stage.GetRootLayer().identifier}: {reason_of(error, request.roots)}"
+        ) from None
+    return report
 
 
 def _translate(
@@ -95,7 +103,7 @@ def _translate(
     settings = read_settings(stage, time, report)
     report.settings = settings.path
     report.width, report.height = request.size or settings.resolution or DEFAULT_SIZE
-    if report.width * report.height > request.budget.pixels:
+    if 0 < request.budget.pixels < report.width * report.height:
         size = f"{report.width} x {report.height}"
         raise StageLimitError(f"{settings.path}: {size} pixels, allowed are {request.budget.pixels} in all")
     purposes = set(_DEFAULT_PURPOSES if settings.purposes is None else (*settings.purposes, "default"))
@@ -283,7 +291,7 @@ class _Walk:
             ctx.report.leave_out(path, "prototype", "is placed inside itself")
             return
         if len(self._open) >= _MAX_NESTING:
-            raise StageLimitError(f"{path}: instances are nested more than {_MAX_NESTING} deep")
+            raise StageLimitError(f"{path}: instances are nested more than {_MAX_NESTING} deep", path)
         group = self._prototypes.get(key)
         if group is None:
             group = Group(path)

@@ -17,6 +17,8 @@ _LENGTH = struct.Struct("<I")
 # [bytes] Reports of large stages are the longest messages; more is a fault of the sender.
 MAX_FRAME = 64 << 20
 _READ = 1 << 18
+# [descriptors] That may wait to be taken; each is one of the server's own.
+_MOST_DESCRIPTORS = 4
 
 
 class BrokenFrameError(Exception):
@@ -32,6 +34,14 @@ class Frames:
     def feed(self, data: bytes) -> None:
         """Add what was read."""
         self._buffer += data
+
+    @property
+    def ready(self) -> bool:
+        """`take` has something to say."""
+        if len(self._buffer) < _LENGTH.size:
+            return False
+        length: int = _LENGTH.unpack_from(self._buffer)[0]
+        return length > MAX_FRAME or len(self._buffer) >= _LENGTH.size + length
 
     def take(self, kind: type[M]) -> M | None:
         """The next whole message, or None if it is not all there yet. Raises BrokenFrameError."""
@@ -85,19 +95,22 @@ class WorkerEnd:
 
 
 class ServerEnd:
-    """The server's end: on the event loop, never blocking."""
+    """The server's end: on the event loop, never blocking, and never ahead of who receives.
+
+    The other side may be a worker that a hostile stage has taken over: what it sends waits in its own socket.
+    """
 
     def __init__(self, connection: socket.socket, kind: type[M]) -> None:
         connection.setblocking(False)
         self._socket = connection
         self._kind = kind
         self._frames = Frames()
-        self._messages: deque[Message] = deque()
         self._descriptors: deque[int] = deque()
         self._news = asyncio.Event()
         self._closed = False
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(connection.fileno(), self._on_readable)
+        self._reading = False
+        self._read_on()
 
     async def send(self, message: Message) -> None:
         """Send one message. Raises OSError if the worker has gone. The caller sets a deadline."""
@@ -105,12 +118,20 @@ class ServerEnd:
 
     async def receive(self) -> Message | None:
         """The next message; None once the worker has closed its end. The caller sets a deadline."""
-        while not self._messages:
+        await asyncio.sleep(0)  # others have their turn, however fast this side talks
+        while True:
+            try:
+                message = self._frames.take(self._kind)
+            except BrokenFrameError:
+                self._stop()
+                return None
+            if message is not None:
+                return message
             if self._closed:
                 return None
             self._news.clear()
+            self._read_on()
             await self._news.wait()
-        return self._messages.popleft()
 
     def take_descriptor(self) -> int | None:
         """The oldest descriptor that came along; the caller owns it."""
@@ -128,15 +149,26 @@ class ServerEnd:
             data, ancillary, _, _ = self._socket.recvmsg(_READ, socket.CMSG_SPACE(4), socket.MSG_CMSG_CLOEXEC)
             self._keep_descriptors(ancillary)
             self._frames.feed(data)
-            while (message := self._frames.take(self._kind)) is not None:
-                self._messages.append(message)
         except BlockingIOError:
             return
         except (OSError, BrokenFrameError):
             data = b""
         if not data:
             self._stop()
-        self._news.set()
+        elif self._frames.ready:
+            self._pause()
+            self._news.set()
+
+    def _read_on(self) -> None:
+        if not self._reading and not self._closed:
+            self._loop.add_reader(self._socket.fileno(), self._on_readable)
+            self._reading = True
+
+    def _pause(self) -> None:
+        if self._reading:
+            self._reading = False
+            with contextlib.suppress(ValueError, OSError):
+                self._loop.remove_reader(self._socket.fileno())
 
     def _keep_descriptors(self, ancillary: list[tuple[int, int, bytes]]) -> None:
         for level, kind, data in ancillary:
@@ -144,10 +176,11 @@ class ServerEnd:
                 descriptors = array.array("i")
                 descriptors.frombytes(data[: len(data) - len(data) % descriptors.itemsize])
                 self._descriptors.extend(descriptors)
+        if len(self._descriptors) > _MOST_DESCRIPTORS:
+            raise BrokenFrameError(f"{len(self._descriptors)} descriptors that nobody takes")
 
     def _stop(self) -> None:
         if not self._closed:
             self._closed = True
-            with contextlib.suppress(ValueError, OSError):
-                self._loop.remove_reader(self._socket.fileno())
+            self._pause()
             self._news.set()

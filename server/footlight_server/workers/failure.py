@@ -16,6 +16,7 @@ class FailureReason(Enum):
     TIMEOUT = auto()
     OUTPUT = auto()
     INTERNAL = auto()
+    LOST = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,12 @@ _MEMORY_CRIES = ("bad_alloc", "MemoryError", "Cannot allocate memory", "Resource
 
 # [1] Of the limit: code that never expects an allocation to fail crashes near it in ways of its own.
 _NEAR_LIMIT = 0.7
+
+# Signals by which others end it, and in which words.
+_STOPPED = {
+    "SIGKILL": "killed (SIGKILL), by somebody or by the kernel for want of memory",
+    "SIGSYS": "stopped (SIGSYS): it tried what a confined worker must not do",
+}
 
 
 def read_exit(returncode: int, stderr: str, memory_bytes: int, memory_limit: int, *, over_memory: bool) -> Failure:
@@ -53,11 +60,8 @@ def read_exit(returncode: int, stderr: str, memory_bytes: int, memory_limit: int
     name = _signal_name(-returncode)
     if name == "SIGXCPU":
         return Failure(FailureReason.TIMEOUT, "the worker used up its CPU time while it opened the stage")
-    if name == "SIGKILL":
-        return Failure(
-            FailureReason.CRASHED,
-            f"the worker was killed (SIGKILL), by somebody or by the kernel for want of memory; {held}",
-        )
+    if name in _STOPPED:
+        return Failure(FailureReason.CRASHED, f"the worker was {_STOPPED[name]}; {held}")
     return Failure(FailureReason.CRASHED, f"the worker crashed ({name}); {held}{_last_line(stderr)}")
 
 
@@ -70,5 +74,5 @@ def _signal_name(number: int) -> str:
 
 def _last_line(stderr: str) -> str:
     """The first line that faulthandler or the runtime left, as an addition to a message."""
-    lines = [line for line in stderr.splitlines() if line.startswith(("Fatal", "terminate", "  what"))]
+    lines = [line for line in stderr.splitlines() if line.startswith(("Fatal", "terminate", "  what", "bwrap:"))]
     return f"; it said: {' '.join(line.strip() for line in lines)[:300]}" if lines else ""

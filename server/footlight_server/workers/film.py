@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 TILE = 64
 # [bytes] Where a plane may begin: a cache line.
 _ALIGN = 64
+# [pixels] As of a RenderSpec; [planes], [channels] more than there are AOVs. For films that others describe.
+_LONGEST_EDGE, _MOST_PIXELS = 32768, 1 << 28
+_MOST_PLANES, _MOST_CHANNELS = 64, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,14 @@ class FilmShape:
     def bytes(self) -> int:
         """Of the whole film."""
         return max((p.offset + 4 * self.width * self.height * p.channels for p in self.planes), default=0)
+
+    def check(self) -> None:
+        """Raise ValueError for what no film has."""
+        edges = min(self.width, self.height) >= 1 and max(self.width, self.height) <= _LONGEST_EDGE
+        if not edges or self.width * self.height > _MOST_PIXELS:
+            raise ValueError(f"a film of {self.width}x{self.height} pixels")
+        if len(self.planes) > _MOST_PLANES or any(not 1 <= plane.channels <= _MOST_CHANNELS for plane in self.planes):
+            raise ValueError("a film of planes that no image has")
 
     @property
     def columns(self) -> int:
@@ -108,6 +119,7 @@ def open_film(shape: FilmShape, descriptor: int) -> Film:
     Raises ValueError if the memory is smaller than the shape or could shrink: reading it would then kill the server.
     """
     try:
+        shape.check()
         if not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
             raise ValueError("the worker's film could shrink")
         if os.fstat(descriptor).st_size < shape.bytes:

@@ -16,8 +16,9 @@ _KEPT = ("FOOTLIGHT_INSTRUCTION_SET", "HOME", "LANG", "LC_ALL", "LC_CTYPE", "OCI
 def worker_environment(surroundings: Mapping[str, str]) -> dict[str, str]:
     """The environment of a worker process."""
     kept = {name: surroundings[name] for name in _KEPT if name in surroundings}
-    # Maps of crate files turn into SIGBUS when a file is truncated while open; reads turn into errors.
-    return kept | {"USDC_USE_PREAD": "1"}
+    # Maps of crate files turn into SIGBUS when a file is truncated while open; reads turn into errors. OpenBLAS would
+    # start threads when it is loaded: no matrix here is large enough for them, and confinement has to begin with one.
+    return kept | {"USDC_USE_PREAD": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def die_with_parent() -> None:

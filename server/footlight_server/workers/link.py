@@ -28,12 +28,15 @@ class Link:
         return self._aovs
 
     def receive_task(self) -> worker_pb2.Task:
-        """Wait for the task, then listen for the rest in the background. Ends the process when the server has gone."""
+        """Wait for the task. Ends the process when the server has gone."""
         request = self._end.receive(worker_pb2.WorkerRequest)
         if request is None:
             os._exit(0)
-        threading.Thread(target=self._listen, name="link", daemon=True).start()
         return request.task
+
+    def listen(self) -> None:
+        """Take in further requests, on a thread. Ends the process when the server has gone."""
+        threading.Thread(target=self._listen, name="link", daemon=True).start()
 
     def send(self, event: worker_pb2.WorkerEvent, descriptor: int | None = None) -> None:
         """Tell the server."""

@@ -4,8 +4,10 @@ import asyncio
 import contextlib
 import logging
 
+from footlight.worker.v1 import worker_pb2
 from footlight_server.workers.failure import Failure, FailureReason
 from footlight_server.workers.process import WorkerGoneError, WorkerProcess
+from footlight_server.workers.sandbox import SandboxName, choose_sandbox
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +33,21 @@ class WorkerPool:
         if self._spare:
             self.prepare()
 
-    async def take(self) -> WorkerProcess:
-        """A warm worker, which the caller closes. Raises WorkerGoneError if none can be had."""
+    async def take(self, task: worker_pb2.Task) -> WorkerProcess:
+        """A warm worker, which the caller closes. Raises WorkerGoneError if none can be had.
+
+        For a task that has to be confined it is one that is, or in `task.confinement` it is told to do that itself.
+        """
+        if task.HasField("confinement"):
+            sandbox = await asyncio.to_thread(choose_sandbox)
+            if sandbox.refusal:
+                raise WorkerGoneError(Failure(FailureReason.STAGE_UNREADABLE, sandbox.refusal))
+            task.confinement.outside = sandbox.name is SandboxName.BUBBLEWRAP
+            if task.confinement.outside:
+                return await self._warm(task.confinement)
+        return await self._take_warm()
+
+    async def _take_warm(self) -> WorkerProcess:
         for attempt in range(1, _ATTEMPTS + 1):
             self.prepare()
             assert self._next is not None
@@ -59,8 +74,8 @@ class WorkerPool:
             with contextlib.suppress(asyncio.CancelledError, WorkerGoneError):
                 await (await coming).close()
 
-    async def _warm(self) -> WorkerProcess:
-        worker = await WorkerProcess.spawn(self._memory_limit)
+    async def _warm(self, confinement: worker_pb2.Confinement | None = None) -> WorkerProcess:
+        worker = await WorkerProcess.spawn(self._memory_limit, confinement)
         try:
             await worker.warm_up()
         except BaseException:

@@ -7,17 +7,18 @@ import os
 import socket
 import sys
 from collections import deque
-from pathlib import Path
 
 from footlight.worker.v1 import worker_pb2
+from footlight_server.workers import bubblewrap
 from footlight_server.workers.channel import ServerEnd
 from footlight_server.workers.failure import Failure, FailureReason, read_exit
 from footlight_server.workers.film import Film, FilmShape, Plane, open_film
 from footlight_server.workers.limits import worker_environment
+from footlight_server.workers.memory import resident_memory
 
 log = logging.getLogger(__name__)
 
-_PAGE = os.sysconf("SC_PAGE_SIZE")
+_CHILD = "footlight_server.workers.child"
 # [bytes] Of its last words that are kept.
 _STDERR_KEPT = 8192
 # [s] How often its memory is looked at.
@@ -38,10 +39,14 @@ class WorkerGoneError(Exception):
 class WorkerProcess:
     """A child that takes one task. Made by `spawn`; whoever holds it calls `close`."""
 
-    def __init__(self, process: asyncio.subprocess.Process, channel: ServerEnd, memory_limit: int) -> None:
+    def __init__(
+        self, process: asyncio.subprocess.Process, channel: ServerEnd, memory_limit: int, *, inside: bool
+    ) -> None:
         self._process = process
         self._channel = channel
         self._memory_limit = memory_limit
+        # Of bubblewrap, which tells of the child's end with its own.
+        self._inside = inside
         self._stderr: deque[bytes] = deque()
         self._over_memory = False
         self._peak = 0
@@ -49,20 +54,24 @@ class WorkerProcess:
         self.versions: dict[str, str] = {}
 
     @classmethod
-    async def spawn(cls, memory_limit: int) -> "WorkerProcess":
-        """Start a child; it warms up by itself. `memory_limit` [bytes], 0: none."""
+    async def spawn(cls, memory_limit: int, confinement: worker_pb2.Confinement | None = None) -> "WorkerProcess":
+        """Start a child; it warms up by itself. `memory_limit` [bytes], 0: none.
+
+        With a `confinement` it runs inside bubblewrap. Raises WorkerGoneError if that is not installed.
+        """
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        command = [sys.executable, "-P", "-m", _CHILD, str(theirs.fileno())]
         try:
+            environment = worker_environment(os.environ)
+            if confinement is not None:
+                command = await asyncio.to_thread(_inside, confinement, command)
+                environment = bubblewrap.environment(os.environ)
             process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-P",
-                "-m",
-                "footlight_server.workers.child",
-                str(theirs.fileno()),
+                *command,
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.DEVNULL,
                 stderr=asyncio.subprocess.PIPE,
-                env=worker_environment(os.environ),
+                env=environment,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
             )
@@ -71,7 +80,7 @@ class WorkerProcess:
             raise
         finally:
             theirs.close()
-        return cls(process, ServerEnd(ours, worker_pb2.WorkerEvent), memory_limit)
+        return cls(process, ServerEnd(ours, worker_pb2.WorkerEvent), memory_limit, inside=confinement is not None)
 
     @property
     def pid(self) -> int:
@@ -82,6 +91,16 @@ class WorkerProcess:
     def alive(self) -> bool:
         """It has not ended yet, as far as we know."""
         return self._process.returncode is None
+
+    @property
+    def peak_memory(self) -> int:
+        """[bytes] The most it was seen to hold so far."""
+        return self._peak
+
+    @property
+    def last_words(self) -> str:
+        """The end of what it wrote to standard error."""
+        return b"".join(self._stderr).decode(errors="replace")
 
     async def warm_up(self) -> None:
         """Wait until its modules are loaded. Raises WorkerGoneError."""
@@ -152,15 +171,18 @@ class WorkerProcess:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_DYING / 2):
                     await self._process.wait()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(asyncio.shield(self._tasks[0]), 0.2)
-        words = b"".join(self._stderr).decode(errors="replace")
+        await asyncio.wait({self._tasks[0]}, timeout=0.2)
+        words = self.last_words
         if words:
             log.warning("worker %d said: %s", self.pid, words.strip()[-2000:])
+        return read_exit(self._exit_code(), words, self._peak, self._memory_limit, over_memory=self._over_memory)
+
+    def _exit_code(self) -> int:
+        """As in subprocess: a signal is negative, also one that bubblewrap tells of as a shell does."""
         code = self._process.returncode
-        return read_exit(
-            -9 if code is None else code, words, self._peak, self._memory_limit, over_memory=self._over_memory
-        )
+        if code is None:
+            return -9
+        return 128 - code if self._inside and code > 128 else code
 
     async def _keep_last_words(self) -> None:
         assert self._process.stderr is not None
@@ -174,7 +196,7 @@ class WorkerProcess:
     async def _watch_memory(self) -> None:
         """The second line behind the limit of address space, which does not count what is really held."""
         while self._process.returncode is None:
-            held = _resident(self.pid)
+            held = resident_memory(self.pid)
             self._peak = max(self._peak, held)
             if self._memory_limit and held > self._memory_limit:
                 self._over_memory = True
@@ -183,9 +205,8 @@ class WorkerProcess:
             await asyncio.sleep(_WATCH_PERIOD)
 
 
-def _resident(pid: int) -> int:
-    """[bytes] That a process holds; 0 if it is gone."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * _PAGE
-    except (OSError, IndexError):
-        return 0
+def _inside(confinement: worker_pb2.Confinement, inner: list[str]) -> list[str]:
+    program = bubblewrap.find_program()
+    if program is None:
+        raise WorkerGoneError(Failure(FailureReason.INTERNAL, "bubblewrap is not installed any more"))
+    return bubblewrap.command(program, confinement, inner)

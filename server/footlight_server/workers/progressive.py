@@ -32,12 +32,16 @@ class SampleTaker(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """When to stop: [samples per pixel], [s], [relative], 0 for no limit; and [threads] to keep busy."""
+    """When to stop: [samples per pixel], [s], [relative], 0 for no limit; and [threads] to keep busy.
+
+    `first`: the number of the first sample; those before it are taken elsewhere.
+    """
 
     spp: int
     seconds: float
     error: float
     threads: int
+    first: int = 0
 
 
 class ProgressiveRender:
@@ -101,7 +105,8 @@ class ProgressiveRender:
             count = self._pace.slice_tiles(self._slice_seconds, samples, self._goal.threads)
             end = min(tiles, begin + count)
             before = time.monotonic()
-            self._renderer.render(self.done, self.done + samples, begin, end)
+            first = self._goal.first + self.done
+            self._renderer.render(first, first + samples, begin, end)
             self._pace.saw(end - begin, samples, time.monotonic() - before)
             self._publisher.publish(begin, end, self.done + samples)
             self._report(self.done + samples * end / tiles)

@@ -1,5 +1,6 @@
 """One task from stage to image, in the worker: open, translate, commit, render, write, tell."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -7,34 +8,23 @@ from functools import partial
 from pathlib import Path
 
 import footlight_core
-from footlight.v1 import render_pb2, report_pb2, stats_pb2
+from footlight.v1 import report_pb2, stats_pb2
 from footlight.worker.v1 import worker_pb2
-from footlight_server.images.display import check_view, write_png
-from footlight_server.images.exr import Attribute, write_exr
 from footlight_server.images.files import ImageError
 from footlight_server.workers.causes import failing_as
 from footlight_server.workers.coarse import SCALE, coarse_image, worth_it
 from footlight_server.workers.failure import FailureReason
-from footlight_server.workers.limits import lift_cpu_limit, peak_memory, set_limits
+from footlight_server.workers.image import attributes_of, write_image
+from footlight_server.workers.limits import lift_cpu_limit, peak_memory
 from footlight_server.workers.link import Link
+from footlight_server.workers.options import aovs_of, check_options, options_of
+from footlight_server.workers.part import write_part
+from footlight_server.workers.placed_scene import PlacedScene
 from footlight_server.workers.progressive import Goal, ProgressiveRender, threads_of
 from footlight_server.workers.publisher import Publisher
 from footlight_server.workers.reports import effects_of, refuse_left_out, stage_report
 from footlight_server.workers.stage import LoadedStage, load_stage
 from footlight_server.workers.versions import versions
-
-_FILTERS = {
-    render_pb2.PIXEL_FILTER_BOX: "box",
-    render_pb2.PIXEL_FILTER_GAUSSIAN: "gaussian",
-    render_pb2.PIXEL_FILTER_BLACKMAN_HARRIS: "blackman-harris",
-}
-_STRATEGIES = {
-    render_pb2.STRATEGY_MIS: "mis",
-    render_pb2.STRATEGY_LIGHT: "light",
-    render_pb2.STRATEGY_BSDF: "bsdf",
-}
-# Always in the image.
-_BASE_AOVS = ("color", "alpha")
 
 
 class RenderTask:
@@ -49,9 +39,9 @@ class RenderTask:
 
     def run(self) -> None:
         """Do all of it."""
-        self._check_options()
-        set_limits(self._task.memory_bytes, self._task.open_cpu_seconds)
-        scene = footlight_core.Scene()
+        os.environ.update(self._task.environment)
+        check_options(self._spec)
+        scene = PlacedScene()
         loaded = load_stage(self._task, scene, self._seconds)
         self._spec.MergeFrom(loaded.resolved)
         build = partial(self._build, scene)
@@ -65,38 +55,10 @@ class RenderTask:
         if self._task.explain:
             self._link.send(worker_pb2.WorkerEvent(done=worker_pb2.Done()))
         else:
-            self._render(renderer, build, report, loaded)
-
-    @property
-    def _aovs(self) -> list[str]:
-        return [*_BASE_AOVS, *(aov for aov in self._spec.aovs if aov not in _BASE_AOVS)]
-
-    def _options(self, width: int, height: int) -> footlight_core.RenderOptions:
-        spec = self._spec
-        return footlight_core.RenderOptions(
-            width=width,
-            height=height,
-            seed=spec.seed,
-            max_depth=spec.max_depth,
-            pixel_filter=_FILTERS[spec.pixel_filter],
-            filter_width=spec.filter_width,
-            strategy=_STRATEGIES[spec.strategy],
-            aovs=self._aovs,
-            threads=spec.threads,
-            force_effects=list(spec.force_effects),
-        )
+            self._render(renderer, build, report, loaded, scene.origin)
 
     def _build(self, scene: footlight_core.Scene, width: int, height: int) -> footlight_core.Renderer:
-        return footlight_core.Renderer(scene, self._options(width, height))
-
-    def _check_options(self) -> None:
-        """What can be known to be wrong before the stage is read. Raises TaskFailedError."""
-        with failing_as(FailureReason.INVALID_ARGUMENT, ValueError):
-            options = self._options(self._spec.width or 1, self._spec.height or 1)
-            if self._spec.force_effects:  # their names are looked at when a scene is committed
-                footlight_core.Renderer(footlight_core.Scene(), options)
-            if self._spec.HasField("png"):
-                check_view(self._spec.png.view)
+        return footlight_core.Renderer(scene, options_of(self._spec, width, height))
 
     def _render(
         self,
@@ -104,47 +66,57 @@ class RenderTask:
         build: Callable[[int, int], footlight_core.Renderer],
         report: report_pb2.StageReport,
         loaded: LoadedStage,
+        origin: tuple[float, ...],
     ) -> None:
         spec = self._spec
-        publisher = Publisher(self._link, renderer, spec.width, spec.height, self._aovs)
-        goal = Goal(spec.spp, spec.time_limit_seconds, spec.error_limit, threads_of(spec))
-        work = ProgressiveRender(renderer, goal, publisher, self._link)
+        publisher = Publisher(self._link, renderer, spec.width, spec.height, aovs_of(spec))
+        work = ProgressiveRender(renderer, self._goal, publisher, self._link)
         with self._timed("render"):
             if worth_it(renderer.tiles, renderer.stats()["triangles"]):
                 publisher.publish_coarse(coarse_image(spec.width, spec.height, build), SCALE)
             work.run()
         done = worker_pb2.Done(has_image=work.done > 0)
-        done.cancelled = self._link.finish_asked and work.done < spec.spp
+        done.cancelled = self._link.finish_asked and work.done < self._goal.spp
         if done.has_image:
             self._link.send(worker_pb2.WorkerEvent(writing=worker_pb2.Writing()))
+            stats = self._stats(renderer, work, loaded)
             with self._timed("write"):
-                self._write(renderer, work, report)
+                if self._task.part_path:
+                    self._write_part(renderer, report, stats, origin, work.done)
+                else:
+                    write_image(
+                        self._task, renderer, aovs_of(spec), attributes_of(self._task, report, work.done, stats)
+                    )
         self._seconds.total = time.monotonic() - self._began
         done.stats.CopyFrom(self._stats(renderer, work, loaded))
         self._link.send(worker_pb2.WorkerEvent(done=done))
 
-    def _write(
-        self, renderer: footlight_core.Renderer, work: ProgressiveRender, report: report_pb2.StageReport
+    @property
+    def _goal(self) -> Goal:
+        spec, task = self._spec, self._task
+        if task.part_path:
+            return Goal(task.sample_end - task.sample_begin, 0.0, 0.0, threads_of(spec), task.sample_begin)
+        return Goal(spec.spp, spec.time_limit_seconds, spec.error_limit, threads_of(spec))
+
+    def _write_part(
+        self,
+        renderer: footlight_core.Renderer,
+        report: report_pb2.StageReport,
+        stats: stats_pb2.RenderStats,
+        origin: tuple[float, ...],
+        done: int,
     ) -> None:
-        planes = {aov: renderer.read(aov) for aov in self._aovs}
-        attributes: dict[str, Attribute] = {
-            "version": versions()["footlight"],
-            "stage": self._spec.stage_path,
-            "camera": self._spec.camera_path,
-            "seed": self._spec.seed,
-            "samples": (0, work.done),
-            "effects": [effect.name for effect in report.effects if effect.active],
-            "pipeline": list(report.pipeline),
-        }
-        if self._spec.HasField("time_code"):
-            attributes["time_code"] = self._spec.time_code
-        for name in ("error_mean", "error_p95"):
-            if work.progress.HasField(name):  # type: ignore[arg-type]
-                attributes[name] = float(getattr(work.progress, name))
+        task = self._task
+        head = worker_pb2.Part(
+            spec=self._spec,
+            report=report,
+            stats=stats,
+            sample_begin=task.sample_begin,
+            sample_end=task.sample_begin + done,
+            origin=origin,
+        )
         with failing_as(FailureReason.OUTPUT, ImageError, OSError):
-            write_exr(Path(self._task.exr_path), planes, attributes)
-            if self._spec.HasField("png"):
-                write_png(Path(self._task.png_path), planes["color"], view=self._spec.png.view)
+            write_part(Path(task.part_path), head, renderer.state())
 
     def _stats(
         self, renderer: footlight_core.Renderer, work: ProgressiveRender, loaded: LoadedStage

@@ -6,6 +6,7 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractContextManager
@@ -58,6 +59,8 @@ class Server:
 
     process: subprocess.Popen[str]
     address: str
+    # All that it listens on; `address` is the first.
+    addresses: tuple[str, ...] = ()
 
     def workers(self) -> list[int]:
         """Process ids, oldest first; a worker that has ended is none."""
@@ -79,24 +82,33 @@ StartServer = Callable[..., AbstractContextManager[Server]]
 
 
 @contextlib.contextmanager
-def start(*options: object) -> Iterator[Server]:
-    command = [sys.executable, "-m", "footlight_server", *(str(option) for option in options)]
-    if "--listen" not in options:
-        command += ["--listen", "127.0.0.1:0"]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdin is not None
-    try:
-        assert select.select([process.stdout], [], [], 30)[0], "the server did not start"
-        line = process.stdout.readline()
-        assert line.startswith("listening on "), line
-        yield Server(process, line.split()[-1])
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        process.wait(15)
-        process.stdout.close()
-        process.stdin.close()
+def start(*options: object, listen: int = 1, stderr: Path | None = None) -> Iterator[Server]:
+    """A server with these options; with a data folder of its own unless they say where.
+
+    `listen`: addresses it has. `stderr`: where its log goes.
+    """
+    with tempfile.TemporaryDirectory(prefix="footlight-test-") as directory, contextlib.ExitStack() as files:
+        log = files.enter_context(stderr.open("ab")) if stderr is not None else None
+        command = [sys.executable, "-m", "footlight_server", *(str(option) for option in options)]
+        if "--listen" not in options:
+            command += ["--listen", "127.0.0.1:0"]
+        if "--data" not in options:
+            command += ["--data", f"{directory}/data"]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            assert select.select([process.stdout], [], [], 30)[0], "the server did not start"
+            lines = [process.stdout.readline() for _ in range(listen)]
+            assert all(line.startswith("listening on ") for line in lines), lines
+            addresses = [line.split()[-1] for line in lines]
+            yield Server(process, addresses[0], tuple(addresses))
+        finally:
+            if process.poll() is None:
+                process.terminate()
+            process.wait(15)
+            process.stdout.close()
+            process.stdin.close()
 
 
 @dataclass

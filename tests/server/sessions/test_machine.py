@@ -1,5 +1,7 @@
 """Laws of the life of a render: it ends, it ends once, and it says why."""
 
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -136,3 +138,29 @@ def test_a_cancelled_render_that_was_kept_has_its_image() -> None:
 
 def test_cancelling_in_the_queue_is_at_once() -> None:
     assert through(CancelAsked()).phase is Phase.CANCELLED
+
+
+HURRIED = replace(PATIENCE, total=12)
+
+
+@given(st.lists(st.sampled_from([RenderingBegan(), Heard(), WritingBegan()]), max_size=12), st.floats(0.1, 4))
+def test_a_total_limit_holds_however_much_the_worker_says(said: list[Event], pause: float) -> None:
+    state, _ = step(State(), TakenUp(), 100.0, HURRIED)
+    now = 100.0
+    for event in said:
+        now += pause
+        state, _ = step(state, event, now, HURRIED)
+        assert state.deadline is not None
+        assert state.deadline <= 112.0
+    state, effects = step(state, DeadlinePassed(), max(now, 112.0), HURRIED)
+    assert effects == (Effect.KILL_WORKER,)
+    assert state.failure is not None
+    assert state.failure.message == "it was not done within its limit of 12 s"
+
+
+def test_silence_before_the_total_limit_is_called_silence() -> None:
+    state, _ = step(State(), TakenUp(), 0.0, HURRIED)
+    state, _ = step(state, RenderingBegan(), 1.0, HURRIED)
+    state, _ = step(state, DeadlinePassed(), 6.0, HURRIED)
+    assert state.failure is not None
+    assert state.failure.message == "the worker said nothing for 5 s"

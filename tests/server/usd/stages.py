@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd
 
-from footlight_server.usd import Report, TranslateRequest, translate
+from footlight_server.usd import Admit, Report, TranslateRequest, translate
 from footlight_server.usd.open import OpenedStage
 from tests.server.usd.capture import CapturingSink
 
@@ -36,5 +36,5 @@ def reasons(report: Report) -> str:
     return "\n".join(f"{line.path} {line.what}: {line.reason}" for line in report.left_out)
 
 
-def gray_image(_path: str) -> NDArray[np.float32]:
+def gray_image(_path: str, _admit: Admit) -> NDArray[np.float32]:
     return np.full((2, 4, 3), 0.5, np.float32)

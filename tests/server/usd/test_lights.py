@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from pxr import UsdLux
 
-from footlight_server.usd import Budget, StageLimitError, TranslateRequest
+from footlight_server.usd import Admit, Budget, StageLimitError, TranslateRequest
 from tests.server.usd.stages import gray_image, reasons, stage_of, translated, translated_text
 
 SIZES: dict[str, tuple[str, str, dict[str, object]]] = {
@@ -88,22 +88,23 @@ def test_a_dome_gets_its_texture_and_its_errors(tmp_path: Path) -> None:
     stage = stage_of(f'def DomeLight "d" {{\n asset inputs:texture:file = @{image}@ }}')
     asked: list[str] = []
 
-    def load(path: str) -> NDArray[np.float32]:
+    def load(path: str, admit: Admit) -> NDArray[np.float32]:
         asked.append(path)
-        return gray_image(path)
+        admit(8)
+        return gray_image(path, admit)
 
     sink, _ = translated(stage, load_image=load)
     assert asked == [str(image)]
-    assert np.array_equal(sink.lights[0][1]["image"], gray_image(""))
+    assert np.array_equal(sink.lights[0][1]["image"], gray_image("", int))
 
-    def broken(path: str) -> NDArray[np.float32]:
+    def broken(path: str, _: Admit) -> NDArray[np.float32]:
         raise OSError(f"{path} is no image")
 
     for loader, request, reason in (
         (broken, TranslateRequest(), f"texture {image}: {image} is no image"),
         (None, TranslateRequest(), "images are not read here"),
         (load, TranslateRequest(roots=(tmp_path / "elsewhere",)), "outside the directories"),
-        (lambda _: np.zeros((2, 2), np.float32), TranslateRequest(), "its shape is (2, 2)"),
+        (lambda *_: np.zeros((2, 2), np.float32), TranslateRequest(), "its shape is (2, 2)"),
     ):
         sink, report = translated(stage, request, load_image=loader)
         assert not sink.lights

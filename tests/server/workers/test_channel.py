@@ -3,6 +3,7 @@
 import asyncio
 import os
 import socket
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -69,3 +70,49 @@ async def test_the_end_of_the_worker_ends_the_messages() -> None:
         assert await server.receive() is not None
         assert await server.receive() is None
     server.close()
+
+
+async def test_a_worker_that_talks_without_end_neither_fills_memory_nor_takes_all_of_the_loop() -> None:
+    ours, theirs = socket.socketpair()
+    server = ServerEnd(ours, worker_pb2.WorkerEvent)
+    theirs.setblocking(False)
+    sent, empty = 0, bytes(4) * 4096
+    for _ in range(1000):
+        try:
+            sent += theirs.send(empty)
+        except BlockingIOError:
+            await asyncio.sleep(0)
+    assert sent < 4 << 20, "the rest waits with the worker"
+    turns = 0
+
+    async def others() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    other = asyncio.create_task(others())
+    for _ in range(1000):
+        assert await server.receive() is not None
+    other.cancel()
+    assert turns >= 999
+    server.close()
+    theirs.close()
+
+
+async def test_a_worker_that_sends_descriptors_nobody_asked_for_is_let_go() -> None:
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    ours, theirs = socket.socketpair()
+    server = ServerEnd(ours, worker_pb2.WorkerEvent)
+    reading, writing = os.pipe()
+    message = frame(worker_pb2.WorkerEvent(writing=worker_pb2.Writing()))
+    for byte in message * 3:
+        socket.send_fds(theirs, [bytes([byte])], [reading])
+    async with asyncio.timeout(5):
+        while await server.receive() is not None:
+            assert len(list(Path("/proc/self/fd").iterdir())) < before + 10
+    server.close()
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+    theirs.close()
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

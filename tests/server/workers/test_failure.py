@@ -24,6 +24,8 @@ def end_of(program: str) -> tuple[int, str]:
         ("os.kill(os.getpid(), signal.SIGKILL)", FailureReason.CRASHED, "SIGKILL"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", FailureReason.CRASHED, "SIGSEGV"),
         ("os.kill(os.getpid(), signal.SIGBUS)", FailureReason.CRASHED, "SIGBUS"),
+        ("os.kill(os.getpid(), signal.SIGSYS)", FailureReason.CRASHED, "confined"),
+        ("os.write(2, b'bwrap: no such place')\nos._exit(1)", FailureReason.CRASHED, "no such place"),
         ("os.abort()", FailureReason.CRASHED, "SIGABRT"),
         ("os.kill(os.getpid(), 63)", FailureReason.CRASHED, "signal 63"),
         ("os._exit(7)", FailureReason.CRASHED, "status 7"),

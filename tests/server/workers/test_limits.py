@@ -11,7 +11,8 @@ def test_nothing_that_decides_what_code_runs_reaches_a_worker() -> None:
         ["PXR_PLUGINPATH_NAME", "PXR_AR_DEFAULT_SEARCH_PATH", "PYTHONPATH", "LD_PRELOAD", "TF_DEBUG"], "/evil"
     )
     environment = worker_environment({"PATH": "/bin", "OCIO": "/config.ocio", "USDC_USE_PREAD": "0", **surroundings})
-    assert environment == {"PATH": "/bin", "OCIO": "/config.ocio", "USDC_USE_PREAD": "1"}
+    ours = {"USDC_USE_PREAD": "1", "OPENBLAS_NUM_THREADS": "1"}
+    assert environment == {"PATH": "/bin", "OCIO": "/config.ocio", **ours}
 
 
 def test_memory_is_limited_from_where_the_process_stands() -> None:

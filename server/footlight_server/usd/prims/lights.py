@@ -9,8 +9,7 @@ import numpy as np
 from pxr import UsdLux
 
 from footlight_server.usd.context import Context
-from footlight_server.usd.errors import StageUnreadableError
-from footlight_server.usd.open import check_below
+from footlight_server.usd.roots import OUTSIDE, is_below
 from footlight_server.usd.sink import Doubles, Floats, Rgb
 from footlight_server.usd.values import BadValueError, read_color, read_number
 
@@ -194,15 +193,15 @@ def _dome_image(ctx: Context, prim: Any) -> Floats | None:
     if layout not in _LATLONG:
         raise BadValueError(f"texture:format {layout} cannot be rendered, allowed are {' and '.join(_LATLONG)}")
     resolved = attribute.Get(ctx.time).resolvedPath
-    if not resolved:
-        raise BadValueError(f"texture {asset}: no such file")
+    if not resolved or not is_below(Path(resolved), ctx.request.roots):
+        # In one breath: whether there is such a file outside is not told.
+        why = "no such file" + (f", or {OUTSIDE}" if ctx.request.roots else "")
+        raise BadValueError(f"texture {asset}: {why}")
     if ctx.load_image is None:
         raise BadValueError(f"texture {resolved}: images are not read here")
     try:
-        check_below(Path(resolved), ctx.request.roots)
-        image: Floats = np.ascontiguousarray(ctx.load_image(resolved), np.float32)
-    except StageUnreadableError as error:
-        raise BadValueError(f"texture {error}") from error
+        texels = ctx.load_image(resolved, lambda count: ctx.count("texels", count, prim.GetPath()))
+        image: Floats = np.ascontiguousarray(texels, np.float32)
     except (OSError, ValueError) as error:
         raise BadValueError(f"texture {resolved}: {error}") from error
     if image.ndim != 3 or image.shape[2] != 3 or not image.size:

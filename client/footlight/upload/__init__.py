@@ -1,0 +1,1 @@
+"""Uploads: a stage with all it refers to, sent to a server as files by content."""
