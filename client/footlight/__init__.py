@@ -46,6 +46,10 @@ _HOME = {
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604 the keys are strings
 
 
+def __dir__() -> list[str]:
+    return [*__all__]
+
+
 def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'footlight' has no attribute {name!r}")

@@ -220,8 +220,27 @@ def from_rpc(error: grpc.RpcError, address: str) -> FootlightError:
     return kind(message)
 
 
+_UNTRUSTED = "its certificate is not signed by one that is trusted; `ca` names others"
+# What gRPC and its TLS say -> what it means.
+_CAUSES = {
+    "WRONG_VERSION_NUMBER": "it does not speak TLS, which `ca`, and any address beyond this machine, asks for",
+    "CERTIFICATE_VERIFY_FAILED": _UNTRUSTED,
+    "certificate signature failure": _UNTRUSTED,
+    "Hostname Verification Check failed": "its certificate is for another name",
+    "Failed to create security handshaker": "the certificates or the key given here are not usable",
+}
+_HANG_UP = "Socket closed"
+
+
 def _cause(message: str) -> str:
     """The end of gRPC's chain of reasons, which is what failed: `Connection refused`."""
+    for sign, meaning in _CAUSES.items():
+        if sign in message:
+            return meaning
+    if message == _HANG_UP:
+        return "the connection broke"
+    if message.endswith(_HANG_UP):  # while the connection was made
+        return "it hangs up; if it speaks TLS, `ca` has to name the certificates to trust"
     return message.rpartition("last error: UNKNOWN: ")[2].rpartition("Failed to connect to remote host: ")[2]
 
 

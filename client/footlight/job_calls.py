@@ -4,6 +4,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import Any, Literal
 
 from footlight.errors import JobCancelledError, JobFailedError, ProtocolError
+from footlight.spec import by_name
 from footlight.v1 import job_pb2, job_service_pb2
 
 ImageFormat = Literal["exr", "thumbnail", "contact-sheet", "png"]
@@ -78,7 +79,7 @@ def frame(
 ) -> job_service_pb2.GetFrameRequest:
     """To ask for an image file from a byte on."""
     return job_service_pb2.GetFrameRequest(
-        job=name, layer=layer, frame=number, format=_FORMATS[image_format], offset=offset
+        job=name, layer=layer, frame=number, format=by_name(_FORMATS, "image_format", image_format), offset=offset
     )
 
 

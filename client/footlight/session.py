@@ -15,6 +15,7 @@ from footlight.files import replacing
 from footlight.image import TileBatch, decode_batch
 from footlight.pieces import Pieces
 from footlight.resume import Patience, resumed, resumed_async
+from footlight.spec import by_name
 from footlight.v1 import render_pb2, render_service_pb2, render_service_pb2_grpc, tile_pb2
 
 Event = render_pb2.Render | render_pb2.Progress | TileBatch
@@ -248,4 +249,4 @@ def _cancel(name: str, *, keep_partial: bool) -> render_service_pb2.CancelRender
 
 
 def _result(name: str, image_format: Format) -> render_service_pb2.GetResultRequest:
-    return render_service_pb2.GetResultRequest(name=name, format=_FORMATS[image_format])
+    return render_service_pb2.GetResultRequest(name=name, format=by_name(_FORMATS, "image_format", image_format))

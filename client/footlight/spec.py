@@ -4,6 +4,9 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Literal, TypeVar
 
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+
 from footlight.paths import absolute
 from footlight.v1 import render_pb2
 
@@ -21,6 +24,8 @@ STRATEGIES = {
     "light": render_pb2.STRATEGY_LIGHT,
     "bsdf": render_pb2.STRATEGY_BSDF,
 }
+# What whole numbers of a message hold.
+_MOST = {FieldDescriptor.TYPE_UINT32: (1 << 32) - 1, FieldDescriptor.TYPE_UINT64: (1 << 64) - 1}
 
 
 def render_spec(
@@ -54,29 +59,23 @@ def render_spec(
     path = os.fspath(stage) if bundle else absolute(stage)
     spec = render_pb2.RenderSpec(stage_path=path, bundle=bundle, camera_path=camera, strict=strict)
     width, height = size or (0, 0)
-    numbers = {
-        "time_code": time_code,
-        "width": width,
-        "height": height,
-        "spp": spp,
-        "seed": seed,
-        "max_depth": max_depth,
-        "threads": threads,
-        "filter_width": filter_width,
-        "time_limit_seconds": time_limit_seconds,
-        "error_limit": error_limit,
-    }
-    for field, value in numbers.items():
-        if value is None:
-            continue
-        try:
-            setattr(spec, field, value)
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{field}: {value} is not allowed") from error
+    set_numbers(
+        spec,
+        time_code=time_code,
+        width=width,
+        height=height,
+        spp=spp,
+        seed=seed,
+        max_depth=max_depth,
+        threads=threads,
+        filter_width=filter_width,
+        time_limit_seconds=time_limit_seconds,
+        error_limit=error_limit,
+    )
     if pixel_filter is not None:
-        spec.pixel_filter = _by_name(PIXEL_FILTERS, "pixel_filter", pixel_filter)
+        spec.pixel_filter = by_name(PIXEL_FILTERS, "pixel_filter", pixel_filter)
     if strategy is not None:
-        spec.strategy = _by_name(STRATEGIES, "strategy", strategy)
+        spec.strategy = by_name(STRATEGIES, "strategy", strategy)
     spec.aovs.extend(aovs)
     spec.force_effects.extend(force_effects)
     if png or view:
@@ -85,7 +84,21 @@ def render_spec(
     return spec
 
 
-def _by_name(known: Mapping[str, Value], field: str, name: str) -> Value:
+def set_numbers(message: Message, **numbers: float | None) -> None:
+    """Set fields but for those that are None. Raises ValueError for a number that a field cannot hold, naming it."""
+    for field, value in numbers.items():
+        if value is None:
+            continue
+        try:
+            setattr(message, field, value)
+        except (ValueError, TypeError) as error:
+            most = _MOST.get(message.DESCRIPTOR.fields_by_name[field].type)
+            allowed = f"; allowed are 0 to {most}" if most else ""
+            raise ValueError(f"{field}: {value} is not allowed{allowed}") from error
+
+
+def by_name(known: Mapping[str, Value], field: str, name: str) -> Value:
+    """What `name` stands for. Raises ValueError that lists the names."""
     if name not in known:
         raise ValueError(f"{field}: {name!r} is not one of {', '.join(known)}")
     return known[name]

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable, Mapping
 
 from footlight.paths import absolute
+from footlight.spec import set_numbers
 from footlight.v1 import job_pb2, render_pb2
 
 
@@ -28,7 +29,7 @@ def layer_spec(
     layer = job_pb2.LayerSpec(name=name, render=render, frames=frames, limits=limits)
     if os.fspath(output):
         layer.output = absolute(output)
-    _set_numbers(layer, chunk=chunk, split=split)
+    set_numbers(layer, chunk=chunk, split=split)
     layer.depends.extend(job_pb2.LayerDependency(layer=other) for other in after)
     layer.depends.extend(job_pb2.LayerDependency(layer=other, frame_by_frame=True) for other in after_frames_of)
     return layer
@@ -64,7 +65,7 @@ def job_spec(
         environment=environment or {},
         layers=layers,
     )
-    _set_numbers(
+    set_numbers(
         spec,
         priority=priority,
         retries=retries,
@@ -72,13 +73,3 @@ def job_spec(
         stall_timeout_seconds=stall_timeout_seconds,
     )
     return spec
-
-
-def _set_numbers(message: job_pb2.JobSpec | job_pb2.LayerSpec, **numbers: float | None) -> None:
-    for field, value in numbers.items():
-        if value is None:
-            continue
-        try:
-            setattr(message, field, value)
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{field}: {value} is not allowed") from error

@@ -6,6 +6,7 @@ from typing import Literal
 import grpc
 
 from footlight.errors import rpc_errors
+from footlight.spec import by_name
 from footlight.v1 import token_service_pb2, token_service_pb2_grpc
 
 ScopeName = Literal["read", "submit", "admin"]
@@ -83,7 +84,7 @@ class AsyncTokens:
 def _create(
     user: str, scope: ScopeName, comment: str, expires: datetime | None
 ) -> token_service_pb2.CreateTokenRequest:
-    request = token_service_pb2.CreateTokenRequest(user=user, scope=SCOPES[scope], comment=comment)
+    request = token_service_pb2.CreateTokenRequest(user=user, scope=by_name(SCOPES, "scope", scope), comment=comment)
     if expires is not None:
         request.expire_time.FromDatetime(expires)
     return request

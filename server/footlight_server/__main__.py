@@ -44,8 +44,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 own_folder(launch.settings.data)
             asyncio.run(_serve(launch))
     except (DatabaseRefusedError, StorageError, ValueError, OSError, RuntimeError) as error:
-        print(f"footlight-server: {str(error) or type(error).__name__}", file=sys.stderr)  # noqa: T201 - for whoever started us
+        print(f"footlight-server: {_said(error)}", file=sys.stderr)  # noqa: T201 - for whoever started us
         sys.exit(2)
+
+
+def _said(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error) or type(error).__name__
 
 
 if __name__ == "__main__":

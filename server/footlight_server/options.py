@@ -95,7 +95,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     guests = parser.add_argument_group("guests")
     add = guests.add_argument
     add("--trust-scenes", action="store_true", help="open uploaded stages without a sandbox")
-    add("--quota-jobs", type=int, default=0, metavar="N", help="unfinished jobs of one user; 0: no limit")
+    add("--quota-jobs", type=int, default=0, metavar="N", help="unfinished jobs, and renders, of one user; 0: no limit")
     add("--quota-tasks", type=int, default=0, metavar="N", help="unfinished tasks of one user; 0: no limit")
     add("--quota-bytes", type=float, default=0.0, metavar="GB", help="uploads of one user; 0: no limit")
     add("--keep-blobs", type=float, default=7.0, metavar="DAYS", help="uploads that nothing needs")

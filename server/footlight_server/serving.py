@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import resource
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
@@ -29,6 +30,8 @@ _GRACE = 2.0
 # [s] For each part to end; the farm waits for its workers, and writes down what became of their tasks.
 _ENDING = 8.0
 _FARM_ENDING = 20.0
+# [files] Sockets among them; enough for all who connect, few enough to be looked through.
+_OPEN_FILES = 65536
 # [threads] For files.
 _FILE_THREADS = 64
 
@@ -41,6 +44,7 @@ async def serve(launch: Launch) -> None:
     next server; renders end, those who watch jobs are told, calls end, the database is closed.
     """
     settings = launch.settings
+    _raise_open_files()
     # Calls to file systems that hang keep their threads; the usual handful would soon be gone.
     asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(_FILE_THREADS, "files"))
     stop = Stop(private=settings.private)
@@ -71,6 +75,14 @@ async def serve(launch: Launch) -> None:
                 log.info("tasks that run: %d; they have %g s, or until a second signal", running, settings.drain)
             draining = partial(parts.farm.drain, settings.drain)
             await unless(stop.hurried, closing("what runs", draining, settings.drain + _FARM_ENDING))
+
+
+def _raise_open_files() -> None:
+    """Programs begin with 1024, which a few hundred clients that forget they are connected would use up."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _OPEN_FILES if most == resource.RLIM_INFINITY else min(_OPEN_FILES, most)
+    if resource.RLIM_INFINITY != now < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 async def _assemble(settings: Settings, stack: AsyncExitStack, metrics: "Metrics | None") -> Parts:

@@ -64,8 +64,15 @@ def test_a_server_that_nobody_vouches_for_gets_nothing(
     secure, plain, ca, listening = server
     (tmp_path / "other").mkdir()
     other = Authority(tmp_path / "other").certificate
-    for address, trusted in ((secure, other), (plain, ca)):
-        with Client(address, token=TOKEN, ca=trusted) as client, pytest.raises(ServerUnavailableError, match=address):
+    for address, trusted, says in (
+        (secure, other, "not signed by one that is trusted"),
+        (plain, ca, "does not speak TLS"),
+        (secure, None, "if it speaks TLS"),
+    ):
+        with (
+            Client(address, token=TOKEN, ca=trusted) as client,
+            pytest.raises(ServerUnavailableError, match=f"{address}: .*{says}"),
+        ):
             client.farm.workers()
     assert listening.shown == []
 

@@ -6,13 +6,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from footlight.cli.app import app
+from footlight.cli.app import COMMANDS, app
 from footlight.cli.board import Board
 from footlight.cli.exits import Exit
 from footlight.cli.job import page
 from footlight.cli.report import option_of
 from footlight.cli.submit import make_spec
-from footlight.cli.watch_view import Lines
+from footlight.cli.tables import write_table
+from footlight.cli.watch_view import Lines, watch_view
+from footlight.cli.why import of_job, of_task
 from footlight.cli.words import complaint, frames_of, size, what
 from footlight.paths import PathMap
 from footlight.plain import plain
@@ -99,7 +101,8 @@ def test_a_relative_output_is_from_here(monkeypatch: pytest.MonkeyPatch, tmp_pat
         ("submit a.usda --timeout soon", "'soon' is not a time; write 90s, 15m, 2h or 7d"),
         ("submit a.usda --env 1=2", "'1=2' is not NAME=VALUE"),
         ("submit a.usda --env NOT_HERE_AT_ALL", "has no value here"),
-        ("submit a.usda --depends yesterday", "'yesterday' is not a job; write 12 or jobs/12"),
+        ("submit a.usda --depends yesterday", "--depends: 'yesterday' is not a job; write 12 or jobs/12"),
+        ("submit a.usda --spp 99999999999", "--spp: 99999999999 is not allowed; allowed are 0 to 4294967295"),
         ("submit a.usda --view Raw", "--png"),
         ("submit a.usda --path-map a=b", "is not FROM=TO"),
         ("submit a.usda --size 3", "WIDTHxHEIGHT"),
@@ -107,6 +110,7 @@ def test_a_relative_output_is_from_here(monkeypatch: pytest.MonkeyPatch, tmp_pat
         ("tasks 12 --state asleep", "'asleep' is not one of blocked, ready"),
         ("job x", "'x' is not a job; write 12 or jobs/12"),
         ("tasks x", "neither a job"),
+        ("retry x", "JOB: 'x' is neither a job"),
         ("log x", "'x' is not a task"),
         ("watch 12 --tev here", "'here' is not HOST:PORT"),
         ("watch 12 --after 3", "is for --json"),
@@ -298,6 +302,52 @@ def test_a_job_on_a_page() -> None:
     assert "comment" not in text
 
 
+def test_what_waits_for_nothing_is_told_by_its_state() -> None:
+    running = job_pb2.Job(name="jobs/12", state=job_pb2.JOB_STATE_RUNNING, tasks=job_pb2.TaskCounts(running=2, ready=1))
+    assert of_job(running) == "jobs/12 is running: 1 ready, 2 running"
+    failed = job_pb2.Job(name="jobs/12", state=job_pb2.JOB_STATE_FAILED, tasks=job_pb2.TaskCounts(failed=1))
+    assert of_job(failed) == "jobs/12 has ended: failed; `footlight job 12` shows what failed"
+    task = job_pb2.Task(name="jobs/12/tasks/7", state=job_pb2.TASK_STATE_FAILED)
+    task.last_attempt.exit_class, task.last_attempt.message = job_pb2.EXIT_CLASS_SCENE, "no camera"
+    assert of_task(task) == (
+        "jobs/12/tasks/7 has failed: scene: no camera; `footlight retry 12/7` gives it another round"
+    )
+    task.state = job_pb2.TASK_STATE_SKIPPED
+    assert of_task(task) == "jobs/12/tasks/7 has ended: skipped"
+
+
+@pytest.mark.parametrize("command", ["", *(each.__name__ for group in COMMANDS.values() for each in group)])
+def test_help_shows_no_type_behind_a_flag(command: str) -> None:
+    shown = run(*filter(None, (command, "--help"))).stdout
+    assert "--help" in shown
+    assert "bool" not in shown
+
+
+def test_a_table_gives_way_where_there_is_little_room(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns, row = ("TITLE", "SHOW", "STATE", "REMARK"), ("a title that is long", "", "succeeded", "one two three four")
+    write_table(columns, [row], cut=("TITLE",), fold=("REMARK",))
+    whole = capsys.readouterr().out.splitlines()
+    assert whole[1].split() == [word for cell in row for word in cell.split()]
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "34")
+    write_table(columns, [row], cut=("TITLE",), fold=("REMARK",))
+    lines = capsys.readouterr().out.splitlines()
+    assert "SHOW" not in lines[0]
+    assert "…" in lines[1]
+    assert "succeeded" in lines[1]
+    words = row[3].split()
+    assert [word for line in lines for word in line.split() if word in words] == words
+
+
+def test_the_end_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    ended = job(state=job_pb2.JOB_STATE_SUCCEEDED)
+    with watch_view(Board(PathMap()), as_json=False) as view:
+        view.event(ended)
+    assert len(capsys.readouterr().err.splitlines()) == 2  # the state, and what came of it
+
+
 def test_words_are_short() -> None:
     task = job_pb2.Task(name="jobs/12/tasks/7", layer="main", frames=range(1, 9), sample_begin=0, sample_end=16)
     assert frames_of(task) == "1…8 (8)"
@@ -342,7 +392,6 @@ def test_times_are_plain_text() -> None:
 
 def test_other_peoples_words_do_not_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     from footlight.cli.report import note
-    from footlight.cli.tables import write_table
 
     note("a\x1b]0;owned\x07b\nc ü")
     write_table(("TITLE",), [("\x1b[31mred",)])

@@ -60,7 +60,7 @@ def test_what_is_not_said_is_left_to_the_server() -> None:
     ("options", "message"),
     [
         ({"spp": -1}, "spp: -1"),
-        ({"seed": 2**32}, "seed: 4294967296"),
+        ({"seed": 2**32}, "seed: 4294967296 is not allowed; allowed are 0 to 4294967295"),
         ({"size": (2**40, 1)}, "width: 1099511627776"),
         ({"pixel_filter": "sinc"}, "pixel_filter: 'sinc' is not one of box, gaussian, blackman-harris"),
         ({"strategy": "luck"}, "strategy: 'luck' is not one of mis, light, bsdf"),

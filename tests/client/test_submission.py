@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from footlight import job_spec, layer_spec, render_spec
+from footlight import Client, job_spec, layer_spec, render_spec
 from footlight.errors import JobCancelledError, JobFailedError
 from footlight.job_calls import job_state, outcome, task_state
 from footlight.v1 import job_pb2
@@ -79,3 +79,13 @@ def test_an_end_that_is_no_success_is_an_error() -> None:
         outcome(job_pb2.Job(state=job_pb2.JOB_STATE_FAILED))
     with pytest.raises(JobCancelledError):
         outcome(job_pb2.Job(state=job_pb2.JOB_STATE_CANCELLED))
+
+
+def test_unknown_names_are_refused_with_the_known_ones() -> None:
+    with Client("127.0.0.1:1") as client:
+        with pytest.raises(ValueError, match="image_format: 'tiff' is not one of exr, thumbnail, contact-sheet, png"):
+            client.farm.job(1).image(1, image_format="tiff")  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match="image_format: 'tiff' is not one of exr, png"):
+            client.session("renders/1").result("tiff")  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match="scope: 'all' is not one of read, submit, admin"):
+            client.tokens.create("anna", "all")  # type: ignore[arg-type]

@@ -104,6 +104,8 @@ def test_submit_watch_fetch(run: Run, room: Path, tmp_path: Path, read_exr: Read
     assert "0 files fetched, 3 here already" in again.stderr
     (tmp_path / "out" / "main.0003.exr").write_bytes(b"half an image")
     assert "1 file fetched, 2 here already" in run("fetch", job, "-o", tmp_path / "out").stderr
+    assert "it has main" in run("fetch", job, "--layer", "beauty").stderr
+    assert "for a new directory write" in run("fetch", job, "-o", tmp_path / "new").stderr
     single = run("render", room, "--frame", 3, "-o", tmp_path / "one.exr", *SMALL)
     assert single.returncode == Exit.OK, single.stderr
     assert (tmp_path / "one.exr").read_bytes() == (tmp_path / "out" / "main.0003.exr").read_bytes()
@@ -183,6 +185,8 @@ def test_pause_why_resume(run: Run, waiting: str) -> None:
     assert answer(run, "resume", waiting)[0]["paused"] is False
     assert run("watch", waiting).returncode == Exit.OK
     assert answer(run, "why", waiting)["reasons"] == []
+    assert f"{waiting} has ended: succeeded" in run("why", waiting).stderr
+    assert f"{waiting}/tasks/2 has ended: succeeded" in run("why", f"{waiting}/tasks/2").stderr
     assert run("pause", waiting).returncode == Exit.STATE
 
 
@@ -193,6 +197,16 @@ def test_cancel(run: Run, waiting: str) -> None:
     assert done.returncode == Exit.CANCELLED
     assert "cancelled" in done.stderr
     assert run("cancel", waiting).returncode == Exit.OK  # nothing to do
+
+
+def test_what_was_done_before_a_refusal_is_said(run: Run, waiting: str) -> None:
+    done = run("cancel", waiting, "jobs/999999")
+    assert done.returncode == Exit.NOT_FOUND
+    assert done.stdout == f"{waiting}: cancelled\n"
+    done = run("retry", waiting, "jobs/999999")
+    assert done.returncode == Exit.NOT_FOUND
+    assert done.stdout == f"{waiting}: 3 tasks to be tried again\n"
+    run("cancel", waiting)
 
 
 def test_skip(run: Run, waiting: str) -> None:
@@ -216,6 +230,7 @@ def test_jobs_are_found_by_what_they_are(run: Run, room: Path) -> None:
 def test_prune_forgets(run: Run, waiting: str) -> None:
     run("cancel", waiting)
     assert answer(run, "prune", waiting, "--dry-run")["jobs"] == [waiting]
+    assert run("prune", waiting, "--dry-run").stderr == "1 job would be pruned\n"
     assert run("prune", waiting).stdout == f"{waiting}\n"
     assert run("job", waiting).returncode == Exit.NOT_FOUND
     assert answer(run, "prune", "--older-than", "1d")["jobs"] == []
@@ -223,6 +238,14 @@ def test_prune_forgets(run: Run, waiting: str) -> None:
 
 def test_limits_workers_tokens(run: Run) -> None:
     assert answer(run, "limits", "houdini", 3, "--per", "host")[0]["unit"] == "LIMIT_UNIT_HOST"
+    # What a limit counts stays until something else is said.
+    assert answer(run, "limits", "houdini", 2)[0] == {
+        "name": "houdini",
+        "most": 2,
+        "unit": "LIMIT_UNIT_HOST",
+        "running": 0,
+    }
+    assert answer(run, "limits", "disk", 2)[0]["unit"] == "LIMIT_UNIT_TASK"
     assert "houdini" in run("limits").stdout
     assert len(answer(run, "workers")) == 2
     made = answer(run, "token", "create", "anna", "--scope", "read", "--expires", "1h", "--comment", "laptop")
@@ -238,7 +261,7 @@ def test_limits_workers_tokens(run: Run) -> None:
     [
         ("submit {room} --frames 1-", Exit.USAGE, "--frames"),
         ("submit {room} --frames 1-2 -o /tmp/a.exr", Exit.USAGE, "--output"),
-        ("submit {room} --env LD_PRELOAD=x", Exit.USAGE, "--env"),
+        ("submit {room} --env LD_PRELOAD=x", Exit.USAGE, "--env: 'LD_PRELOAD': not allowed"),
         ("submit {room} --spp 2000000", Exit.USAGE, "--spp"),
         ("submit {room} --depends 999999", Exit.USAGE, "999999"),
         ("submit /gone/a.usda", Exit.STAGE, "/gone/a.usda"),
@@ -246,6 +269,7 @@ def test_limits_workers_tokens(run: Run) -> None:
         ("watch 999999", Exit.NOT_FOUND, "jobs/999999"),
         ("log 999999/1", Exit.NOT_FOUND, "999999"),
         ("fetch 999999", Exit.NOT_FOUND, "999999"),
+        ("jobs --server unix:/gone/socket", Exit.SERVER, "no Footlight server answers at unix:/gone/socket"),
         ("token revoke 999999", Exit.NOT_FOUND, "999999"),
         ("jobs --server 127.0.0.1:1", Exit.SERVER, "no Footlight server answers at 127.0.0.1:1: Connection refused"),
     ],

@@ -10,7 +10,7 @@ from footlight.cli import exits
 from footlight.cli.command import command
 from footlight.cli.commands import admin, look, render, serve, steer, submit
 
-EPILOG = "Exit codes: " + "; ".join(f"{code.value} {text}" for code, text in exits.HELP.items()) + "."
+EPILOG = "\n".join(["Exit codes", *(f"{code.value:<5}{text}" for code, text in exits.HELP.items())])
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 # The module that is called has its own --help.

@@ -1,6 +1,7 @@
 """A function as a command: its options may come in groups, and what it raises becomes a message and an exit code."""
 
 import inspect
+import os
 from collections.abc import Callable
 from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
@@ -23,6 +24,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         parameters += _members(groups[name]) if name in groups else [single]
 
     def run(**values: Any) -> None:
+        # What gRPC would write on stderr by itself comes again in what is raised. It reads this while it is loaded.
+        os.environ.setdefault("GRPC_VERBOSITY", "NONE")
         from footlight.cli.report import reporting  # noqa: PLC0415 loads gRPC
 
         for name, group in groups.items():
@@ -30,11 +33,16 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         with reporting():
             function(**values)
 
-    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    run.__name__, run.__doc__ = function.__name__, _reflowed(function.__doc__ or "")
     # Refuses a name that is there twice.
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+def _reflowed(text: str) -> str:
+    """Paragraphs without the line breaks of the source, which --help would keep."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY

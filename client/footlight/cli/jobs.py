@@ -1,5 +1,6 @@
 """`footlight jobs`: the queue as a table."""
 
+import sys
 from typing import Any
 
 from footlight.cli.connect import connect
@@ -10,7 +11,9 @@ from footlight.cli.words import job_word, lasted, moment
 from footlight.names import short
 from footlight.plain import plain
 
-COLUMNS = ("JOB", "STATE", "TITLE", "SHOW", "SHOT", "USER", "PRIORITY", "FRAMES", "FAILED", "SUBMITTED", "TIME")
+COLUMNS = ("JOB", "STATE", "TITLE", "SHOW", "SHOT", "USER", "PRIO", "FRAMES", "FAILED", "SUBMITTED", "TIME")
+# Of `2026-11-22 14:03:07`, where there is little room.
+_DAY_TO_MINUTE = slice(5, 16)
 
 
 def run_jobs(connection: Connection, count: int, *, as_json: bool, **choice: Any) -> None:
@@ -31,12 +34,12 @@ def run_jobs(connection: Connection, count: int, *, as_json: bool, **choice: Any
             str(job.spec.priority),
             f"{job.frames_done}/{job.frames_total}",
             str(job.tasks.failed or ""),
-            moment(job, "create_time"),
+            moment(job, "create_time")[_DAY_TO_MINUTE if sys.stdout.isatty() else slice(None)],
             lasted(job),
         )
         for job in jobs
     ]
-    write_table(COLUMNS, rows, right=("PRIORITY", "FRAMES", "FAILED", "TIME"))
+    write_table(COLUMNS, rows, right=("PRIO", "FRAMES", "FAILED", "TIME"), cut=("TITLE", "SHOW", "SHOT"))
     if not jobs:
         note("no jobs")
     elif len(jobs) == count:

@@ -10,10 +10,13 @@ from footlight.v1 import job_pb2
 _UNITS = {job_pb2.LIMIT_UNIT_TASK: "task", job_pb2.LIMIT_UNIT_HOST: "host"}
 
 
-def run_limits(connection: Connection, name: str, most: int | None, per: str, *, as_json: bool) -> None:
-    """Set the limit if it is named, else print all of them."""
+def run_limits(connection: Connection, name: str, most: int | None, per: str | None, *, as_json: bool) -> None:
+    """Set the limit if it is named, what it counts only if that is said; else print all of them."""
     with connect(connection) as client:
-        limits = [client.farm.set_limit(name, most, hosts=per == "host")] if most is not None else client.farm.limits()
+        limits = client.farm.limits()
+        if most is not None:
+            before = next((_UNITS.get(limit.unit) for limit in limits if limit.name == name), None)
+            limits = [client.farm.set_limit(name, most, hosts=(per or before) == "host")]
     if as_json:
         write_json([plain(limit) for limit in limits])
         return

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import typer
 
 from footlight.cli.exits import Exit, exit_code
-from footlight.errors import FootlightError, InvalidRequestError, RenderFailedError
+from footlight.errors import FootlightError, InvalidRequestError, RenderFailedError, TokenRequiredError
 from footlight.v1 import render_pb2, report_pb2
 
 # Where the command line's word is not that of the message.
@@ -80,6 +80,8 @@ def _text(error: FootlightError) -> str:
         return "; ".join(f"{option_of(field)}: {why}" for field, why in error.fields)
     if text.startswith("no Footlight server answers"):
         return f"{text}; `footlight serve` starts one, --server names another"
+    if isinstance(error, TokenRequiredError):
+        return f"{text}; $FOOTLIGHT_TOKEN or --token says who one is"
     if isinstance(error, RenderFailedError) and error.prim_path and error.prim_path not in text:
         return f"{error.prim_path}: {text}"
     return text

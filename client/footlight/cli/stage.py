@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from footlight.cli.progress import transfer_view
-from footlight.cli.report import note
+from footlight.cli.report import FIRST, note
 from footlight.client import Client
 from footlight.paths import PathMap
 from footlight.v1 import render_pb2
@@ -18,5 +18,7 @@ def place(client: Client, spec: render_pb2.RenderSpec, stage: Path, paths: PathM
         bundle = client.upload(stage, told)
     bundle.into(spec)
     note(f"uploaded as {bundle.digest}")
-    for reference in bundle.unresolved:
-        note(f"remark: {reference}: refers to nothing on this machine")
+    for reference in bundle.unresolved[:FIRST]:
+        note(f"remark: {reference}: referred to, but not there")
+    if (more := len(bundle.unresolved) - FIRST) > 0:
+        note(f"… and {more} more that are not there")

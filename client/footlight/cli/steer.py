@@ -41,8 +41,7 @@ def _steer(
     jobs: list[job_pb2.Job] = []
     with connect(connection) as client:
         try:
-            for name in names:
-                jobs.append(action(client.farm.job(name)))
+            jobs.extend(action(client.farm.job(name)) for name in names)
         finally:
             if as_json:
                 write_json([plain(job) for job in jobs])

@@ -1,4 +1,4 @@
-"""Tables on stdout: aligned columns, folded at a terminal only; and JSON, for those who count on it."""
+"""Tables on stdout: aligned columns, narrower at a terminal only; and JSON, for those who count on it."""
 
 import json
 import sys
@@ -13,6 +13,9 @@ from footlight.plain import Plain
 
 # [columns] Where stdout is no terminal.
 PLAIN_WIDTH = 1000
+
+# [columns] That are left of one that gives way.
+LEAST = 10
 
 STYLES = {
     "running": "cyan",
@@ -42,12 +45,45 @@ def console() -> Console:
     return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
-def write_table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, right: Iterable[str] = ()) -> None:
-    """Columns under headings in capitals. Those in `right` are numbers; states have colours. Without rows nothing."""
+def write_table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    right: Iterable[str] = (),
+    cut: Iterable[str] = (),
+    fold: Iterable[str] = (),
+) -> None:
+    """Columns under headings in capitals. Those in `right` are numbers; states have colours. Without rows nothing.
+
+    Where a terminal has too little room, columns in `cut` lose their ends and those in `fold` take several lines; a
+    terminal is not shown columns that hold nothing.
+    """
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+    rows = list(rows)
+    if sys.stdout.isatty():
+        columns, rows = _filled(columns, rows)
+    give = {*cut, *fold}
+    for column, cells in zip(columns, zip(*rows, strict=True), strict=True) if rows else ():
+        longest = max(map(len, (column, *cells)))
+        table.add_column(
+            column,
+            justify="right" if column in right else "left",
+            overflow="fold" if column in fold else "ellipsis",
+            no_wrap=column not in give,
+            min_width=min(LEAST, longest) if column in give else None,
+        )
     for row in rows:
-        table.add_row(*(Text(visible(cell), style=STYLES.get(cell, "")) for cell in row))
+        table.add_row(*(_cell(cell, cut=column in cut) for column, cell in zip(columns, row, strict=True)))
     if table.row_count:
         console().print(table, soft_wrap=not sys.stdout.isatty())
+
+
+def _filled(columns: Sequence[str], rows: list[Sequence[str]]) -> tuple[Sequence[str], list[Sequence[str]]]:
+    """Without the columns that hold nothing."""
+    kept = [index for index in range(len(columns)) if any(row[index] for row in rows)]
+    return [columns[index] for index in kept], [[row[index] for index in kept] for row in rows]
+
+
+def _cell(text: str, *, cut: bool) -> Text:
+    style = STYLES.get(text, "")
+    return Text(visible(text), style, no_wrap=True, overflow="ellipsis") if cut else Text(visible(text), style)

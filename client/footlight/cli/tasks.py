@@ -49,7 +49,7 @@ def _tasks(client: Client, name: str, states: Sequence[str], layer: str, count: 
     if as_json:
         write_json([plain(task) for task in tasks])
         return
-    write_table(TASKS, map(_row, tasks), right=("TASK", "DONE", "TRIES", "TIME"))
+    write_table(TASKS, map(_row, tasks), right=("TASK", "DONE", "TRIES", "TIME"), fold=("REMARK",))
     if not tasks:
         note("no such tasks")
     elif more:
@@ -97,6 +97,6 @@ def _attempts(attempts: list[job_pb2.Attempt], *, as_json: bool) -> None:
         )
         for attempt in attempts
     ]
-    write_table(ATTEMPTS, rows, right=("ATTEMPT", "TIME", "MEMORY"))
+    write_table(ATTEMPTS, rows, right=("ATTEMPT", "TIME", "MEMORY"), fold=("MESSAGE",))
     if not attempts:
         note("no attempts yet; `footlight why` says what the task waits for")

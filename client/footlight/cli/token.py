@@ -9,7 +9,7 @@ from footlight.cli.options import Connection
 from footlight.cli.parse import duration
 from footlight.cli.report import note, usage
 from footlight.cli.tables import write_json, write_table
-from footlight.cli.words import moment, scope_word
+from footlight.cli.words import moment, scope_word, when
 from footlight.names import short, token_name
 from footlight.plain import plain
 from footlight.tokens import ScopeName
@@ -52,12 +52,12 @@ def run_list(connection: Connection, *, as_json: bool) -> None:
             _state(token),
             moment(token, "create_time"),
             moment(token, "expire_time") or "never",
-            moment(token, "last_use_time") or "never",
+            _hour(token) or "never",
             token.comment,
         )
         for token in tokens
     ]
-    write_table(COLUMNS, rows)
+    write_table(COLUMNS, rows, cut=("COMMENT",))
     if not tokens:
         note("no tokens; `footlight token create USER` makes one")
 
@@ -69,13 +69,18 @@ def run_revoke(connection: Connection, names: Sequence[str], *, as_json: bool) -
     with connect(connection) as client:
         tokens: list[token_service_pb2.Token] = []
         try:
-            for name in names:
-                tokens.append(client.tokens.revoke(name))
+            tokens.extend(client.tokens.revoke(name) for name in names)
         finally:
             if as_json:
                 write_json([plain(token) for token in tokens])
             else:
                 sys.stdout.writelines(f"{token.name} of {token.user}: revoked\n" for token in tokens)
+
+
+def _hour(token: token_service_pb2.Token) -> str:
+    """Of the last use, which is kept to the hour: `2026-11-22 14h`."""
+    time = when(token, "last_use_time")
+    return time.astimezone().strftime("%Y-%m-%d %Hh") if time else ""
 
 
 def _state(token: token_service_pb2.Token) -> str:

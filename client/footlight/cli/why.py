@@ -1,6 +1,7 @@
 """`footlight why`: what a job or task waits for."""
 
 import sys
+from collections.abc import Iterator
 
 from footlight.cli.connect import connect
 from footlight.cli.job import tasks
@@ -21,27 +22,32 @@ def run_why(connection: Connection, name: str, *, as_json: bool) -> None:
     with connect(connection) as client:
         job = client.farm.job(job_of(name))
         reasons = job.why(name)
-        instead = "" if reasons or as_json else _instead(job, name)
+        instead = [] if reasons or as_json else list(_instead(job, name))
     if as_json:
         write_json({"name": name, "reasons": [*reasons]})
         return
     sys.stdout.writelines(f"{reason}\n" for reason in reasons)
-    if instead:
-        note(instead)
+    for line in instead:
+        note(line)
 
 
-def _instead(job: Job, name: str) -> str:
-    if name == job.name:
-        return of_job(job.get())
-    # The number of a task is its place among the tasks of its job.
-    *_, task = job.tasks(count=number_of(name))
-    return of_task(task)
+def _instead(job: Job, name: str) -> Iterator[str]:
+    """What it does; of a job that runs also what the first of its tasks waits for that does not."""
+    if name != job.name:
+        # The number of a task is its place among the tasks of its job.
+        *_, task = job.tasks(count=number_of(name))
+        yield of_task(task)
+        return
+    yield of_job(job.get())
+    waiting = [task for state in ("ready", "blocked") for task in job.tasks(states=[state], count=1)]
+    for task in waiting[:1]:
+        yield from (f"{short(task.name)}: {reason}" for reason in job.why(task.name))
 
 
 def of_job(job: job_pb2.Job) -> str:
     """What a job does that waits for nothing."""
     if not has_ended(job):
-        return f"{job.name} is {job_word(job)}: {tasks(job.tasks)}; of one of its tasks ask as in {short(job.name)}/1"
+        return f"{job.name} is {job_word(job)}: {tasks(job.tasks)}"
     more = f"; `footlight job {short(job.name)}` shows what failed" if job.tasks.failed else ""
     return f"{job.name} has ended: {job_word(job)}{more}"
 

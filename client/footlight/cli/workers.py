@@ -19,6 +19,6 @@ def run_workers(connection: Connection, *, as_json: bool) -> None:
         (worker.name, worker.host, short(worker.task) or "idle", ", ".join(short(job) for job in worker.blocked_jobs))
         for worker in workers
     ]
-    write_table(("WORKER", "HOST", "TASK", "AVOIDED BY"), rows)
+    write_table(("WORKER", "HOST", "TASK", "AVOIDED BY"), rows, fold=("AVOIDED BY",))
     if not workers:
         note("no workers: the server was started with --farm-workers 0, or its nodes are gone")

@@ -61,7 +61,9 @@ def _collect(stage: Path, root: Path) -> Collected:
         whole = UsdUtils.LocalizeAsset(asset, str(root))
         unresolved = () if whole else tuple(str(path) for path in UsdUtils.ComputeAllDependencies(asset)[2])
     except Tf.ErrorException as error:
-        raise CollectError(f"{stage}: cannot be collected: {' '.join(str(error).split())}") from None
+        # Without the place in USD's sources: `Error in '…' at line … in file … : '…'`.
+        why = "; ".join(each.commentary for each in error.args if isinstance(each, Tf.Error)) or str(error)
+        raise CollectError(f"{stage}: cannot be collected: {' '.join(why.split())}") from None
     said = [diagnostic.commentary for diagnostic in warnings.TakeUncoalescedDiagnostics()]
     if not (root / stage.name).is_file() or not (whole or unresolved):
         raise CollectError(f"{stage}: cannot be collected: {'; '.join(said) or 'USD does not say why'}")

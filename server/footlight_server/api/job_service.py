@@ -8,7 +8,7 @@ from typing import TypeAlias, TypeVar
 import grpc
 from google.protobuf.message import Message
 
-from footlight.v1 import job_service_pb2, job_service_pb2_grpc
+from footlight.v1 import job_pb2, job_service_pb2, job_service_pb2_grpc
 from footlight_server.api.auth import caller
 from footlight_server.api.errors import told
 from footlight_server.api.job_feed import JobFeeds
@@ -25,7 +25,6 @@ from footlight_server.api.job_views import JobViews
 from footlight_server.api.layer_spec import NAME
 from footlight_server.api.names import is_task_name, job_name, job_number, task_name, task_numbers
 from footlight_server.api.owner import check_owner
-from footlight_server.api.selection import parse_selection
 from footlight_server.api.streams import ClientGoneError
 from footlight_server.api.submission import Bundles, Submissions
 from footlight_server.farm.dispatcher import Farm
@@ -41,6 +40,7 @@ from footlight_server.settings import Settings
 
 _LARGEST_PAGE = 1000
 _JOBS_PAGE = 50
+_JOBS_TOGETHER = 100
 _PAGE = 100
 # [bytes] Of a page; clients take 4 MB, and one more message may be as large as a request.
 _PAGE_BYTES = 1 << 20
@@ -95,17 +95,22 @@ class JobService(job_service_pb2_grpc.JobServiceServicer):  # type: ignore[misc]
     ) -> job_service_pb2.ListJobsResponse:
         """A page of them."""
         size = _page_size(request.page_size, _JOBS_PAGE)
-        jobs = await self._queue.jobs(
-            size + 1,
-            before=_token(request.page_token) if request.page_token else None,
-            states=_chosen(request.states, JOB_STATES, "JobState"),
-            user=request.user,
-            show=request.show,
-            shot=request.shot,
-            tag=request.tag,
-        )
-        page = _fitting([job_message(job) for job in jobs[:size]])
-        more = str(jobs[len(page) - 1].number) if len(page) < len(jobs) else ""
+        before = _token(request.page_token) if request.page_token else None
+        states = _chosen(request.states, JOB_STATES, "JobState")
+        found: list[job_pb2.Job] = []
+        while True:
+            # Not all at once: the specs of a thousand jobs may be a gigabyte, and a page holds little of that.
+            some = min(size - len(found), _JOBS_TOGETHER)
+            jobs = await self._queue.jobs(
+                some + 1, before, states, request.user, request.show, request.shot, request.tag
+            )
+            found += [job_message(job) for job in jobs[:some]]
+            page = _fitting(found)
+            if len(page) < len(found) or len(jobs) <= some or len(found) == size:
+                break
+            before = jobs[some - 1].number
+        whole = len(page) == len(found) and len(jobs) <= some
+        more = "" if whole else str(job_number(page[-1].name))
         return job_service_pb2.ListJobsResponse(jobs=page, next_page_token=more)
 
     @told
@@ -194,7 +199,7 @@ class JobService(job_service_pb2_grpc.JobServiceServicer):  # type: ignore[misc]
     ) -> job_service_pb2.RetryTasksResponse:
         """Another round."""
         job = await self._own(request.job, context)
-        selection = await asyncio.to_thread(parse_selection, request.selection, job.number)
+        selection = await self._submissions.select(request.selection, job.number)
         job, changed = await self._submissions.retry(job.number, selection, caller(context))
         return job_service_pb2.RetryTasksResponse(job=job_message(job), changed=changed)
 
@@ -204,7 +209,7 @@ class JobService(job_service_pb2_grpc.JobServiceServicer):  # type: ignore[misc]
     ) -> job_service_pb2.SkipTasksResponse:
         """Give up on them."""
         job = await self._own(request.job, context)
-        selection = await asyncio.to_thread(parse_selection, request.selection, job.number)
+        selection = await self._submissions.select(request.selection, job.number)
         if selection == Selection():
             raise _invalid("selection", "has to choose something; to give up on all of a job, cancel it")
         job, changed = await self._queue.skip(job.number, selection)

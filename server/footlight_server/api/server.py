@@ -15,6 +15,9 @@ _OPTIONS = (
     ("grpc.keepalive_time_ms", 30_000),
     ("grpc.keepalive_timeout_ms", 10_000),
     ("grpc.keepalive_permit_without_calls", 1),
+    # Strangers may connect and say nothing: for the default of 120 s until TLS is agreed on, for ever afterwards.
+    ("grpc.server_handshake_timeout_ms", 10_000),
+    ("grpc.max_connection_idle_ms", 600_000),
     # Specs are small, and uploads come in pieces; what is larger is neither.
     ("grpc.max_receive_message_length", 1 << 20),
 )
@@ -65,10 +68,13 @@ class GrpcServer:
 
         Raises RuntimeError if it cannot be listened on.
         """
-        if credentials is None:
-            port = self._server.add_insecure_port(address)
-        else:
-            port = self._server.add_secure_port(address, credentials)
+        try:
+            if credentials is None:
+                port = self._server.add_insecure_port(address)
+            else:
+                port = self._server.add_secure_port(address, credentials)
+        except RuntimeError as error:
+            raise RuntimeError(f"--listen {address}: in use, or no address of this machine") from error
         await self._server.start()
         if address.startswith("unix:"):
             return address

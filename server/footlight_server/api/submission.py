@@ -11,6 +11,7 @@ from footlight_server.api.auth import Caller
 from footlight_server.api.job_messages import job_message
 from footlight_server.api.job_spec import CheckedJob, complete_job
 from footlight_server.api.names import job_number
+from footlight_server.api.selection import parse_selection
 from footlight_server.api.spec import check_stage
 from footlight_server.api.streams import patiently
 from footlight_server.farm.frames import explain_frames
@@ -71,7 +72,8 @@ class Submissions:
         async with self._checking:
             checked = await patiently(asyncio.to_thread(complete_job, request.spec, allowed, limits), _PATIENCE)
         await self._check_depends(checked.spec)
-        await self._check_files(checked.spec)
+        async with self._checking:
+            await self._check_files(checked.spec)
         submission = Submission(checked.spec, checked.frames, caller.user, request.request_id)
         async with self._checking:
             plan = await patiently(asyncio.to_thread(plan_job, submission), _PATIENCE)
@@ -84,6 +86,11 @@ class Submissions:
                 await self._check_quota(plan)
             job = await self._queue.create_job(plan)
         return Submitted(job_message(job), notes)
+
+    async def select(self, asked: job_service_pb2.TaskSelection, job: int) -> Selection:
+        """As `parse_selection`, which may take a second."""
+        async with self._checking:
+            return await patiently(asyncio.to_thread(parse_selection, asked, job), _PATIENCE)
 
     async def retry(self, number: int, selection: Selection, caller: Caller) -> tuple[Job, int]:
         """As Queue.retry, but a job that is opened again counts as one more. Raises QuotaError, never for an admin."""
@@ -136,6 +143,8 @@ class Submissions:
             if not layer.output:
                 continue
             pattern = parse_output(layer.output)
+            if is_below(pattern.path(0), (self._settings.data.resolve(),)):
+                raise OutsideRootsError(f"{layer.output}: that folder is the server's own")
             if not is_below(pattern.path(0), roots):
                 listed = ", ".join(str(root) for root in roots)
                 raise OutsideRootsError(f"{layer.output}: not below a directory images may go to ({listed})")

@@ -10,7 +10,7 @@ import grpc
 
 from footlight_server.api.auth import Caller, Continuation, Details, enter_as
 from footlight_server.api.errors import status_of
-from footlight_server.api.intercept import Handler, wrapped
+from footlight_server.api.intercept import Handler, unwaiting, wrapped
 from footlight_server.api.scopes import SCOPES
 from footlight_server.farm.token_book import TokenBook
 from footlight_server.farm.tokens import Token
@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 
 # [s] For the first message of a call that is refused.
 _FIRST_MESSAGE = 0.5
+# [s] For that of a call without a token, and of one with a token.
+_STRANGERS_MESSAGE, _MESSAGE = 5.0, 30.0
 
 # [calls] That one token may have open: some of the server's are left for everybody else.
 _MOST_CALLS = 250
@@ -42,7 +44,7 @@ class TokenGate(grpc.aio.ServerInterceptor):  # type: ignore[misc]
             return None
         needed = SCOPES[details.method]
         if needed is None:
-            return method
+            return unwaiting(method, _STRANGERS_MESSAGE)
         try:
             token = self._token(details.invocation_metadata)
             if not token.scope.includes(needed):
@@ -51,7 +53,7 @@ class TokenGate(grpc.aio.ServerInterceptor):  # type: ignore[misc]
                 raise QuotaError(f"your token has {_MOST_CALLS} calls open; that is the most")
         except ServiceError as error:
             return _refusal(details.method, error)
-        return wrapped(method, lambda handler: self._around(handler, token))
+        return wrapped(unwaiting(method, _MESSAGE), lambda handler: self._around(handler, token))
 
     def cut(self, number: int) -> None:
         """End all calls in the name of a token."""

@@ -26,14 +26,18 @@ class Placer:
 
     def __init__(self) -> None:
         self._clones = True
+        # By file: the copy made of it when it had too many names. It takes the next ones, so that a file that is named
+        # a hundred thousand times is not there thousands of times.
+        self._copies: dict[Path, Path] = {}
 
     def place(self, source: Path, path: Path) -> None:
         """Make `path`, which is not there yet."""
         self._clones = self._clones and _clone(source, path)
-        if not self._clones and not _link(source, path):
+        if not self._clones and not _link(self._copies.get(source, source), path):
             with source.open("rb") as original, path.open("xb") as copy:
                 shutil.copyfileobj(original, copy)
             seal(path)
+            self._copies[source] = path
 
 
 def _clone(source: Path, path: Path) -> bool:

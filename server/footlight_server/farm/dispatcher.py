@@ -171,7 +171,7 @@ class Farm:
                 await asyncio.sleep(_LONGEST_PAUSE)
                 continue
             pause = _FIRST_PAUSE
-            await self._news(seen, freed, min(max(0.0, due - self._clock()) + _MARGIN, _LONGEST_SLEEP))
+            await self._news(seen, freed, min(max(0.0, due - time.monotonic()), _LONGEST_SLEEP))
 
     async def _give_back_lost(self) -> None:
         """Make ready again what nobody runs any more: an end that could not be recorded, a claim not given back.
@@ -258,11 +258,13 @@ class Farm:
     # --- sleeping ---
 
     async def _next_due(self) -> float:
-        """[s since 1970] When a delayed task is due, if a lane is free for it; else never."""
+        """[s, monotonic] When a delayed task is due, if a lane is free for it; else never."""
         if len(self._runs) >= len(self._executor.lanes()):
             return math.inf
+        # Read before the queue is asked, at the moment that it reads it: afterwards the wall clock may have been set.
+        now, here = self._clock(), time.monotonic()
         due = await self._queue.next_wake()
-        return math.inf if due is None else due
+        return math.inf if due is None else here + max(0.0, due - now) + _MARGIN
 
     async def _news(self, seen: int, freed: int, delay: float) -> None:
         """Until the queue or the lanes have changed, or the time is up."""

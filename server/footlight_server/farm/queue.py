@@ -166,6 +166,8 @@ class Queue:
     async def prune(self, numbers: Sequence[int]) -> None:
         """Forget jobs, all or none. Raises JobNotFoundError, JobNotEndedError (also if a job still waits for it)."""
         await self._write(steer.prune, tuple(numbers))
+        for number in numbers:
+            self._last_events.pop(number, None)
 
     async def bundles_in_use(self) -> set[str]:
         """Digests of bundles that a job which is not pruned was made with."""

@@ -3,8 +3,10 @@
 import asyncio
 import logging
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from footlight.v1 import job_pb2
 from footlight_server.farm.assignment import target_of
@@ -15,6 +17,10 @@ from footlight_server.farm.results import holds, put_in_place
 from footlight_server.sessions.errors import ServiceError
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+# [s] For a file system, to read an image and to remove what is half-made.
+_PATIENCE = 120.0
 
 
 async def recover(queue: Queue, places: Places) -> int:
@@ -22,21 +28,21 @@ async def recover(queue: Queue, places: Places) -> int:
 
     To be called before anything is claimed. Raises StorageError.
     """
-    for staged in await queue.staged():
-        await _settle(queue, staged)
+    await asyncio.gather(*(_settle(queue, staged) for staged in await queue.staged()))
     for attempt in await queue.running():
         for directory in await _workspaces(queue, places, attempt):
-            await asyncio.to_thread(shutil.rmtree, directory, ignore_errors=True)
+            await _answer(partial(shutil.rmtree, directory, ignore_errors=True), None)
     return await queue.recover()
 
 
 async def _settle(queue: Queue, staged: StagedFrame) -> None:
     """Record a result if its bytes are there, under the one name or the other; else forget it."""
     path, temporary, digest = Path(staged.frame.path), Path(staged.temp_path), staged.frame.sha256
-    there = await asyncio.to_thread(holds, path, digest)
-    if not there and await asyncio.to_thread(holds, temporary, digest):
+    there = await _answer(partial(holds, path, digest), otherwise=False)
+    if not there and await _answer(partial(holds, temporary, digest), otherwise=False):
         try:
-            await asyncio.to_thread(put_in_place, temporary, path)
+            async with asyncio.timeout(_PATIENCE):
+                await asyncio.to_thread(put_in_place, temporary, path)
             there = True
         except OSError as error:
             log.warning("%s: made before the server stopped, but cannot be put in place: %s", path, error)
@@ -44,6 +50,16 @@ async def _settle(queue: Queue, staged: StagedFrame) -> None:
         log.info("%s: was finished before the server stopped", path)
     else:
         await queue.unstage(staged)
+
+
+async def _answer(work: Callable[[], T], otherwise: T) -> T:
+    """What file work comes to; `otherwise` if the file system hangs: for that no server shall stay down."""
+    try:
+        async with asyncio.timeout(_PATIENCE):
+            return await asyncio.to_thread(work)
+    except TimeoutError:
+        log.warning("a file system did not answer for %g s; what was made there is made again", _PATIENCE)
+        return otherwise
 
 
 async def _workspaces(queue: Queue, places: Places, attempt: Attempt) -> Iterable[Path]:

@@ -11,6 +11,8 @@ class Policy:
     """When to try again. `retries`: of the job; how many failures that count are forgiven."""
 
     retries: int = 2
+    # A full disk is nobody's scene: as long as any retry is allowed, so many are, which with their pauses is 40 min.
+    output_retries: int = 12
     # [attempts] LOST so often in a row is forgiven: beyond, the task itself makes its workers vanish.
     most_losses: int = 20
     # [s] After the first failure, four times as long after each further one, never more than the longest.
@@ -188,10 +190,16 @@ def _after_loss(status: Status, now: float, policy: Policy) -> Status:
 def _after_failure(status: Status, how: ExitClass, now: float, policy: Policy) -> Step:
     failed = replace(status, failures=status.failures + 1)
     effects = (Effect.BLAME_LANE,) if how in LANE_FAULTS else ()
-    if how is ExitClass.SCENE or failed.failures > policy.retries:
+    if how is ExitClass.SCENE or failed.failures > _forgiven(how, policy):
         return replace(failed, state=TaskState.FAILED), effects
     not_before = now + _pause(failed.failures, policy) if how in PASSING_FAULTS else 0.0
     return _wait(replace(failed, not_before=not_before)), effects
+
+
+def _forgiven(how: ExitClass, policy: Policy) -> int:
+    if how is ExitClass.OUTPUT and policy.retries:
+        return max(policy.retries, policy.output_retries)
+    return policy.retries
 
 
 def _pause(failures: int, policy: Policy) -> float:

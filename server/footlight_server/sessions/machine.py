@@ -171,6 +171,8 @@ def step(  # noqa: C901, PLR0911 - the one place of all transitions
 
 
 def _enter(state: State, phase: Phase, deadline: float) -> tuple[State, tuple[Effect, ...]]:
+    if phase.value <= state.phase.value:  # back, or the same again: only a worker that is not ours any more says so
+        return state, ()
     return replace(state, phase=phase, deadline=_earlier(deadline, state.latest)), (Effect.ANNOUNCE,)
 
 

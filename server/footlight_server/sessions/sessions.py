@@ -5,7 +5,7 @@ import uuid
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import count
 from pathlib import Path
 
 from footlight.v1 import render_pb2
@@ -30,6 +30,8 @@ KEPT_PIXELS = 256 << 20
 LONGEST_QUEUE = 10_000
 # [renders] Made for the farm that have ended and can still be asked for, without their pixels.
 _REMEMBERED_ADOPTED = 32
+# [bytes] Of a page, after which no more follows; clients take 4 MB, and a report has up to 2 MB.
+_PAGE_BYTES = 3 << 19
 # [s] For all renders to end when the server stops.
 _STOPPING = 4.0
 
@@ -108,10 +110,16 @@ class Sessions:
         return session
 
     def page(self, size: int, newest: int | None) -> Page:
-        """Up to `size` renders, from number `newest` down."""
+        """Up to `size` renders, from number `newest` down; fewer if their reports are long."""
         numbered = (s for s in reversed(self._sessions.values()) if newest is None or s.number <= newest)
-        found = list(islice(numbered, size + 1))
-        return Page([s.render for s in found[:size]], str(found[size].number) if len(found) > size else "")
+        renders: list[render_pb2.Render] = []
+        total = 0
+        for session in numbered:
+            if len(renders) == size or total > _PAGE_BYTES:
+                return Page(renders, str(session.number))
+            renders.append(session.render)
+            total += renders[-1].ByteSize()
+        return Page(renders, "")
 
     def adopt(self, task: worker_pb2.Task, directory: Path, patience: Patience) -> Session:
         """A session that the farm runs by itself: no slot, no place in the list, but watched like any render."""

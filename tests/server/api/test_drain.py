@@ -15,6 +15,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from footlight.v1 import job_pb2, job_service_pb2, job_service_pb2_grpc, render_pb2
 from footlight_server.farm.model import Attempt, ExitClass, Task, TaskState
 from footlight_server.farm.queue import Queue
+from tests.server.api.secured import reason_of
 from tests.server.api.service import LONG, STAGE, Server, start
 
 NOT_SERVING = health_pb2.HealthCheckResponse.NOT_SERVING
@@ -69,7 +70,7 @@ async def left(folder: Path) -> tuple[Sequence[Task], list[list[Attempt]]]:
 
 
 async def test_what_runs_may_end_and_nothing_else_is_begun(tmp_path: Path) -> None:
-    async with running(tmp_path, 3000, "1-3", "--drain-seconds", 60) as draining:
+    async with running(tmp_path, 12_000, "1-3", "--drain-seconds", 60) as draining:
         draining.signal()
         while await draining.health() != NOT_SERVING:
             await asyncio.sleep(0.02)
@@ -118,6 +119,24 @@ async def test_a_second_signal_hurries(tmp_path: Path) -> None:
     assert [attempt.exit_class for attempt in attempts[0]] == [ExitClass.PREEMPTED]
 
 
+async def test_who_watches_is_told_that_the_server_stops_when_it_does(tmp_path: Path) -> None:
+    """Not when it begins to drain: there is something to see until the end."""
+    async with running(tmp_path, LONG, "1", "--drain-seconds", 1.5) as draining:
+        watch = draining.jobs.WatchJob(job_service_pb2.WatchJobRequest(name=draining.name), timeout=30)
+        signalled = seen = 0.0
+        with contextlib.suppress(grpc.aio.AioRpcError):
+            async for response in watch:
+                if not signalled:
+                    draining.signal()
+                    signalled = time.monotonic()
+                elif response.event.HasField("progress"):
+                    seen = time.monotonic() - signalled
+        assert await watch.code() == grpc.StatusCode.UNAVAILABLE
+        assert await reason_of(watch) == "SHUTTING_DOWN"
+        assert 0.5 < seen < 5
+        assert await draining.exit_code(20) == 0
+
+
 async def test_a_server_without_work_stops_at_once(tmp_path: Path) -> None:
     with start("--data", tmp_path / "data", "--drain-seconds", 600) as server:
         before = time.monotonic()
@@ -141,6 +160,24 @@ async def test_renders_that_come_while_it_drains_are_refused(tmp_path: Path) -> 
         assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
         draining.signal()
         assert await draining.exit_code(20) == 0
+
+
+def test_a_file_system_that_hangs_does_not_keep_the_server_from_ending(tmp_path: Path) -> None:
+    """Python would wait for the thread without end."""
+    import subprocess
+    import sys
+
+    program = f"""
+import asyncio, threading
+from footlight_server import __main__ as server
+server._LEAVING = 0.5
+async def hang(launch):
+    asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
+    await asyncio.sleep(0.1)
+server.serve = hang
+server.main(["--listen", "127.0.0.1:0", "--data", "{tmp_path}/data"])
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=20, check=False).returncode == 1
 
 
 def test_two_servers_on_one_data_folder_are_refused(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import footlight_core
 from footlight.v1 import job_pb2, render_pb2
 from footlight_server.api.job_spec import complete_job
+from footlight_server.api.layer_spec import AOVS
 from footlight_server.farm.frames import MOST_FRAMES
 from footlight_server.farm.plan import MOST_TASKS
 from footlight_server.sessions.errors import InvalidFieldsError
@@ -101,6 +103,7 @@ CASES: list[tuple[Change, str, str]] = [
     (lambda s: setattr(layer(s).render, "stage_path", ""), "spec.layers[0].render.stage_path", "required"),
     (lambda s: setattr(layer(s).render, "time_code", 1.0), "spec.layers[0].render.time_code", "left out"),
     (lambda s: setattr(layer(s).render, "spp", 1 << 21), "spec.layers[0].render.spp", "1 to 1048576"),
+    (lambda s: layer(s).render.aovs.append("beuty"), "spec.layers[0].render.aovs", "there are color, alpha, depth"),
     (lambda s: setattr(layer(s).render, "bundle", "abc"), "spec.layers[0].render.bundle", "{sha256}/{size}"),
     (lambda s: layer(s).limits.append("licence"), "spec.layers[0].limits[0]", "there are licences"),
     (lambda s: layer(s).limits.extend(["licences"] * 2), "spec.layers[0].limits[1]", "twice"),
@@ -142,6 +145,12 @@ def test_layers_that_differ_in_padding_may_still_write_the_same_file() -> None:
         complete_job(asked, ALLOWED, LIMITS)
     asked.layers[1].frames = "2"
     complete_job(asked, ALLOWED, LIMITS)
+
+
+def test_the_aovs_are_those_of_the_core() -> None:
+    footlight_core.RenderOptions(width=1, height=1, aovs=list(AOVS))
+    with pytest.raises(ValueError, match=f"allowed: {', '.join(AOVS)}$"):
+        footlight_core.RenderOptions(width=1, height=1, aovs=["beuty"])
 
 
 def test_the_comments_of_the_protocol_name_the_same_limits() -> None:

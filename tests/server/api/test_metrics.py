@@ -110,7 +110,7 @@ def test_calls_that_fail_are_counted_by_their_code(watched: tuple[Server, Number
         for name in ("jobs/999999", "jobs/999998"):
             with pytest.raises(grpc.RpcError):
                 jobs.GetJob(job_service_pb2.GetJobRequest(name=name), timeout=10)
-    assert numbers("calls_total", method=method, code="NOT_FOUND") == 2
+    numbers.until(lambda: numbers("calls_total", method=method, code="NOT_FOUND") == 2)
 
 
 def test_calls_that_are_given_up_are_counted_as_cancelled(watched: tuple[Server, Numbers], tmp_path: Path) -> None:

@@ -217,3 +217,22 @@ def test_nothing_is_placed_over_another_file(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         Placer().place(tmp_path / "source", tmp_path / "there")
     assert (tmp_path / "there").read_bytes() == b"there"
+
+
+def test_a_file_with_too_many_names_is_copied_seldom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As often as the file system's limit asks for; a bundle may name one large file a hundred thousand times."""
+    link = os.link
+
+    def limited(source: Path, path: Path) -> None:
+        if source.stat().st_nlink >= 10:
+            raise OSError(errno.EMLINK, "Too many links")
+        link(source, path)
+
+    monkeypatch.setattr(places, "_clone", lambda *_: False)
+    monkeypatch.setattr(os, "link", limited)
+    source = tmp_path / "source"
+    source.write_bytes(b"x")
+    placer = Placer()
+    for number in range(40):
+        placer.place(source, tmp_path / str(number))
+    assert len({path.stat().st_ino for path in tmp_path.iterdir()}) == 5

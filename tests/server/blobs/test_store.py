@@ -288,3 +288,10 @@ async def test_all_of_a_call_is_kept_or_nothing(open_stores: OpenStores) -> None
         await stores.blobs.write("ann", *blobs)
         assert await stores.blobs.missing([digest for digest, _ in blobs]) == []
         assert stores.blobs._ledger.used("ann") == 5002 + 3 * FILE_COST
+
+
+async def test_nothing_stays_in_memory_of_uploads_that_were_refused(stores: Stores) -> None:
+    for number in range(20):
+        with pytest.raises(WrongOffsetError):
+            await stores.blobs.append("ann", digest_of(bytes(20) + bytes([number])), 7, b"x")
+    assert stores.blobs._uploads._uploads == {}

@@ -11,9 +11,11 @@ import pytest
 
 from footlight_server.farm.local import LocalExecutor
 from footlight_server.farm.model import ExitClass, JobState, Lane, TaskState
+from footlight_server.sessions.errors import StorageError
 from footlight_server.workers.pool import WorkerPool
 from footlight_server.workers.source import WorkerSource
 from tests.server.farm.farm import ENDLESS, Place, digest, leftovers
+from tests.server.farm.jobs import a_job
 
 
 @pytest.fixture
@@ -36,6 +38,23 @@ async def test_a_locked_database_delays_and_loses_nothing(place: Place) -> None:
         for frame in await farm.queue.frames(job, 10):
             assert frame.sha256 == digest(Path(frame.path))
         assert leftovers(place) == []
+
+
+async def test_calls_do_not_wait_for_a_lock_one_after_the_other(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A minute's backlog would be a minute in which nobody is told anything, and then too late."""
+    monkeypatch.setattr("footlight_server.farm.sql.engines.LOCK_PATIENCE", 500)
+    queue = await place.open_queue()
+    number = (await queue.create_job(a_job())).number
+    with sqlite3.connect(place.data / "queue.db", isolation_level=None) as other:
+        other.execute("BEGIN IMMEDIATE")
+        begun = time.monotonic()
+        answers = await asyncio.gather(*(queue.pause(number) for _ in range(30)), return_exceptions=True)
+        assert [type(answer) for answer in answers] == [StorageError] * 30
+        assert time.monotonic() - begun < 5
+        other.execute("ROLLBACK")
+    other.close()
+    assert (await queue.pause(number)).paused
+    await queue.close()
 
 
 @dataclass

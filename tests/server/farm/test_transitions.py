@@ -136,10 +136,21 @@ def test_failures_count_by_class_and_the_last_retry_is_the_last(ends: list[ExitC
         counted += how in COUNTED
         lost = lost + 1 if how is ExitClass.LOST else 0
         assert status.failures == counted
-        failed = counted > retries or lost > policy.most_losses
+        forgiven = max(retries, policy.output_retries) if how is ExitClass.OUTPUT and retries else retries
+        failed = (how in COUNTED and counted > forgiven) or lost > policy.most_losses
         assert status.state is (TaskState.FAILED if failed else TaskState.READY)
         if failed:
             return
+
+
+def test_a_full_disk_is_waited_for_longer_than_a_crash_but_not_where_nothing_is_to_be_tried_again() -> None:
+    status, waited = initial(gated=False), 0.0
+    for attempt in range(1, POLICY.output_retries + 1):
+        status = through(status, Taken(), AttemptEnded(attempt, ExitClass.OUTPUT))
+        waited += status.not_before
+    assert status.state is TaskState.READY
+    assert waited > 1800
+    assert through(running([]), AttemptEnded(1, ExitClass.OUTPUT), policy=Policy(retries=0)).state is TaskState.FAILED
 
 
 def test_the_scene_is_never_tried_again() -> None:

@@ -137,3 +137,19 @@ async def test_a_directory_that_is_gone_is_an_output_failure(
     assert session.failure is not None
     assert session.failure.reason is FailureReason.OUTPUT
     assert not session.render.HasField("start_time")
+
+
+async def test_a_page_of_renders_fits_into_a_message(sessions: Sessions, spec: render_pb2.RenderSpec) -> None:
+    """However long the reports of a stage are that somebody made for that."""
+    made = [sessions.create(spec, "") for _ in range(8)]
+    for session in made:
+        session._render.report.remarks.add(message="x" * 1_000_000)
+    names, newest = [], None
+    while True:
+        page = sessions.page(1000, newest)
+        assert sum(render.ByteSize() for render in page.renders) < 4_000_000
+        names += [render.name for render in page.renders]
+        if not page.next_token:
+            break
+        newest = int(page.next_token)
+    assert names == [session.name for session in reversed(made)]

@@ -16,8 +16,11 @@ def limits(
         typer.Argument(metavar="MOST", min=0, help="How many may run at the same time.", show_default=False),
     ] = None,
     per: Annotated[
-        Literal["task", "host"], typer.Option(help="What counts: running tasks, or hosts that run any.")
-    ] = "task",
+        Optional[Literal["task", "host"]],  # noqa: UP045 typer reads it at run time
+        typer.Option(
+            help="What counts: running tasks, or hosts that run any. Default: as it was, of a new limit tasks."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """List the limits on what runs at the same time, or set one: `footlight limits houdini 5 --per host`."""

@@ -16,7 +16,9 @@ def jobs(
     state: Annotated[
         Words,
         typer.Option(
-            metavar="STATE", help="queued, running, succeeded, failed, cancelling, cancelled. May be repeated."
+            metavar="STATE",
+            help="queued (those that are paused too), running, succeeded, failed, cancelling, cancelled. "
+            "May be repeated.",
         ),
     ] = None,
     user: Annotated[str, typer.Option(metavar="NAME", help="Jobs of this user only.")] = "",

@@ -94,7 +94,10 @@ def submit(
     *,
     upload: Upload = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check everything, say what would come of it, submit nothing.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Check everything, say what would come of it, submit nothing; --upload still sends."
+        ),
     ] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Stay and watch, as `footlight watch` does.")] = False,
     as_json: AsJson = False,

@@ -105,15 +105,23 @@ class RayExecutor:
     async def _keep(self) -> None:
         """Have a bridge, always."""
         while True:
-            link = await BridgeLink.start(self._address, self._access, self)
-            self._link = link
             try:
-                await link.run(_SILENCE)
-            finally:
-                self._link = None
-                self.update(bridge_pb2.Lanes())
-                await link.close()
+                await self._cross()
+            except Exception:
+                # Whatever it was: without a bridge nothing runs until somebody is woken up.
+                log.exception("the bridge to the Ray cluster failed")
             await asyncio.sleep(_PAUSE)
+
+    async def _cross(self) -> None:
+        """One bridge, from its start to its end."""
+        link = await BridgeLink.start(self._address, self._access, self)
+        self._link = link
+        try:
+            await link.run(_SILENCE)
+        finally:
+            self._link = None
+            self.update(bridge_pb2.Lanes())
+            await link.close()
 
 
 class LaneSource:

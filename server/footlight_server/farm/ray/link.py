@@ -85,6 +85,7 @@ class BridgeLink:
                 async with asyncio.timeout(patience):
                     event = await self._channel.receive()
                 if event is None:
+                    log.warning("%s", why)
                     return
                 assert isinstance(event, bridge_pb2.BridgeEvent)
                 if event.HasField("lanes"):
@@ -93,8 +94,8 @@ class BridgeLink:
                     self._listeners[event.call].hear(event)
         except TimeoutError:
             why = f"the bridge to the Ray cluster said nothing for {patience:g} s"
-        finally:
             log.warning("%s", why)
+        finally:
             self._lost = why
             for listener in list(self._listeners.values()):
                 listener.lose(why)

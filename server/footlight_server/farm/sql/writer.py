@@ -1,17 +1,21 @@
 """Calls that write, one after the other; those that wait at the same time share a commit, which is what takes time."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
+from footlight_server.farm.sql import engines
 from footlight_server.farm.sql.database import Database
 from footlight_server.farm.sql.transaction import Transaction
 from footlight_server.sessions.errors import StorageError
 
 # [calls] That share a commit: enough that the disk is not what limits, few enough that none waits long for the others.
 MOST_TOGETHER = 64
+# [1] Of the patience with locks: a call that took so much of it and failed waited for one.
+_LOCKED = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +53,12 @@ class Writer:
     def _work_off(self) -> None:
         calls = [self._waiting.popleft() for _ in range(min(len(self._waiting), MOST_TOGETHER))]
         if len(calls) < 2 or not self._do_together(calls):
+            trouble: StorageError | None = None
             for call in calls:
-                self._do(call)
+                if trouble is None:
+                    trouble = self._do(call)
+                else:
+                    call.done.set_exception(trouble)
 
     def _do_together(self, calls: Sequence[_Call]) -> bool:
         """False: the database would not, and nothing has happened."""
@@ -65,10 +73,16 @@ class Writer:
                 call.done.set_result(outcome)
         return True
 
-    def _do(self, call: _Call) -> None:
+    def _do(self, call: _Call) -> StorageError | None:
+        """What keeps it from being done, if that would keep all others as well, each for seconds."""
+        begun = time.monotonic()
         try:
             outcome = self._database.write(call.work)
+        except StorageError as error:
+            call.done.set_exception(error)
+            return error if time.monotonic() - begun > _LOCKED * engines.LOCK_PATIENCE / 1000 else None
         except Exception as error:  # noqa: BLE001 - it is the caller's
             call.done.set_exception(error)
         else:
             call.done.set_result(outcome)
+        return None
