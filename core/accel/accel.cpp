@@ -331,13 +331,12 @@ void valid_lanes(std::size_t remaining, int* valid) {
 Accel::Accel(const Geometry& geometry, const LightTable& lights) : impl_(std::make_unique<Impl>(geometry, lights)) {}
 Accel::~Accel() = default;
 
-void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind,
+void Accel::intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind, bool together,
                       const float* opacity_u, const HitColumns& hits) const noexcept {
     QueryContext context{};
     rtcInitIntersectContext(&context.embree);
     context.opacity_u = opacity_u;
-    // Camera rays of one packet are neighbours in the image: the BVH is walked for all of them at once.
-    if (kind == RayKind::camera) context.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    if (together) context.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     const Impl& impl = *impl_;
     for (std::size_t i = 0; i < count; i += kLanes) {
         alignas(kAlignment) Packet<kLanes>::RayHit packet;

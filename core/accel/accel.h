@@ -47,8 +47,8 @@ class Accel {
 
     // Nearest hit of rays[list[i]], i in [0, count), written to hits at i. The list is readable to the next multiple of
     // kLanes. opacity_u: column of numbers in [0, 1) that decide partly opaque surfaces, or null when nothing is partly
-    // opaque.
-    void intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind,
+    // opaque. together: walk the BVH once for all rays of a packet, which pays where they meet the same nodes.
+    void intersect(const RayColumns& rays, const std::uint32_t* list, std::size_t count, RayKind kind, bool together,
                    const float* opacity_u, const HitColumns& hits) const noexcept;
 
     // occluded[i] = 1 when rays[list[i]] meets anything between its ends, else 0. light: column of the rows of the

@@ -49,6 +49,7 @@ struct CommittedScene {
     float exposure;      // multiplies every sample
     bool with_aovs;      // normal, albedo or position are wanted
     bool sort_rays;      // the BVH outgrows the caches
+    bool few_triangles;  // every ray meets most nodes of the BVH
     bool sample_lights;  // the strategy and the lights call for light samples
 };
 

@@ -14,8 +14,9 @@ void intersect(Worker& w) noexcept {
     const HitColumns hits{w.hits.id.data(), w.hits.instance.data(), w.hits.t.data(), w.hits.u.data(), w.hits.v.data()};
     const float* opacity_u = scene.effects.active(Effect::opacity) ? w.opacity_u.data() : nullptr;
     const double begin = thread_seconds();
+    // Camera rays of one packet are neighbours in the image.
     scene.accel.intersect(rays, w.living.rows.data(), w.living.count, camera ? RayKind::camera : RayKind::bounce,
-                          opacity_u, hits);
+                          camera || scene.few_triangles, opacity_u, hits);
     w.ledger.embree_seconds += thread_seconds() - begin;
     w.ledger.closest_rays += w.living.count;
 

@@ -15,12 +15,18 @@ namespace footlight {
 
 namespace {
 
-// Paths per batch: the columns of a batch (about 300 bytes a path) stay in a core's L2 cache.
-constexpr std::size_t kBatchSize = 2048;
+// Paths per batch. Of 2048 paths, whose columns (about 300 bytes a path) would stay in a core's L2 cache, too few are
+// left after some bounces to fill the packets of eight octants: 8192 are 5 % faster, 16384 are not.
+constexpr std::size_t kBatchSize = 8192;
 // Above this many triangles rays miss the caches in the BVH, and a large sorted batch is worth its memory traffic.
 constexpr std::size_t kSortTriangles = 200'000;
-constexpr std::size_t kUnitsPerThread = 4;
 constexpr std::size_t kSortedBatchSize = 16'384;
+// Up to so many triangles a packet of bounce rays that share an octant walks the BVH as one: a quarter less time per
+// ray for 36 triangles, a tenth for 82, none for 210.
+constexpr std::size_t kFewTriangles = 128;
+// Small slices are cut so that each thread has several units, but none of fewer paths than this.
+constexpr std::size_t kUnitsPerThread = 4;
+constexpr std::size_t kSmallestUnit = 2048;
 
 // Flush-to-zero and denormals-are-zero for the lifetime of the object, on this thread only.
 class FlushDenormals {
@@ -157,6 +163,7 @@ Renderer::Renderer(const Scene& scene, RenderOptions options)
         .exposure = static_cast<float>(camera.exposure_scale),
         .with_aovs = (options_.aovs & kHitAovs) != 0,
         .sort_rays = geometry_.triangle_count() > kSortTriangles,
+        .few_triangles = geometry_.triangle_count() <= kFewTriangles && geometry_.instances.empty(),
         .sample_lights = lights_.any_sampled() && (options_.strategy != Strategy::bsdf || delta_lights),
     });
     pipeline_ = assemble_pipeline(*committed_);
@@ -180,7 +187,7 @@ bool Renderer::render(std::uint32_t sample_begin, std::uint32_t sample_end, int 
     // Large batches must still leave every thread several units, or the last one is waited for.
     const std::size_t pixels = static_cast<std::size_t>(tile_end - tile_begin) * kTileSize * kTileSize;
     const auto threads = static_cast<std::size_t>(pool_->arena.max_concurrency());
-    const std::size_t share = std::max(kBatchSize, pixels * samples / (threads * kUnitsPerThread));
+    const std::size_t share = std::max(kSmallestUnit, pixels * samples / (threads * kUnitsPerThread));
     const std::size_t pixels_per_unit = std::max<std::size_t>(1, std::min(batch_size_, share) / samples);
     std::vector<Pixel> order;
     for (int t = tile_begin; t < tile_end; ++t) append_pixels(order, tile(t));

@@ -24,7 +24,7 @@ Worker::Worker(const CommittedScene& scene_in, const Pipeline& pipeline_in, std:
       shadows(rows()),
       shadow_rays(rows()),
       occluded(rows()),
-      sort_scratch(scene_in.sort_rays ? rows() : 0) {}
+      sort_scratch(rows()) {}
 
 namespace {
 
@@ -88,7 +88,7 @@ Pipeline assemble_pipeline(const CommittedScene& scene) {
         if (wanted) pipeline.bounce.push_back({id, run});
     };
     add(StageId::opacity, draw_opacity, effects.active(Effect::opacity));
-    add(StageId::sort, sort_paths, scene.sort_rays);
+    add(StageId::sort, scene.sort_rays ? sort_paths : sort_paths_by_octant);
     add(StageId::intersect, intersect);
     add(StageId::escape, escape, effects.active(Effect::dome) || effects.active(Effect::distant_lights));
     add(StageId::light_hit, light_hit, effects.active(Effect::area_lights));

@@ -69,6 +69,7 @@ struct Worker {
 void generate(Worker& worker) noexcept;
 void draw_opacity(Worker& worker) noexcept;
 void sort_paths(Worker& worker) noexcept;
+void sort_paths_by_octant(Worker& worker) noexcept;
 void intersect(Worker& worker) noexcept;
 void escape(Worker& worker) noexcept;
 void light_hit(Worker& worker) noexcept;
