@@ -50,6 +50,22 @@ def test_g03_convex_body_never_hits_itself(size: float, ratio: float, instanced:
         assert abs(pixels.mean() - 0.5) < 5.2 * error
 
 
+def test_g03_a_far_instance_seen_edge_on() -> None:
+    """G03: rays start outside also as rounded on their way into an instance's space; edge-on the offset is smallest."""
+    size, distance = 1e3, 1e7
+    # Along none of the instance's axes, where the roundings of one coordinate would be all that counts.
+    aslant = scenes.chain(scenes.rotate("x", 40), scenes.rotate("y", 30))
+    corners = np.array([[-1, -1, 0, 1], [1, -1, 0, 1], [0, 1, 0, 1]]) @ aslant
+    plate = Mesh(corners[:, :3].astype(np.float32), np.array([[0, 1, 2]], np.uint32), HALF)
+    place = scenes.chain(aslant.T, scenes.rotate("x", -89.5), scenes.rotate("z", 10), scenes.scale(size))
+    transforms = np.stack([place, place @ scenes.translate(0.0, 0.0, 1e3 * distance)])
+    stage = Stage(facing(distance, size), (replace(plate, transforms=transforms),), (scenes.dome(),))
+    render = scenes.run(stage, strategy="bsdf", spp=256, width=48, height=48, aovs=["color", "albedo"])
+    assert render.read("albedo").max() > 0.1
+    # Half the dome's light where the plate is, all of it beside.
+    assert np.abs(render.read("color") + render.read("albedo") - 1).max() < 1e-5
+
+
 def test_g03_control_a_body_that_does_hit_itself_is_darker() -> None:
     bowl = scenes.icosphere(HALF, 2, **scenes.at(scenes.scale(1.0)))
     half_open = replace(bowl, triangles=bowl.triangles[bowl.points[bowl.triangles].mean(1)[:, 2] < 0.3])
