@@ -24,8 +24,7 @@ inline constexpr std::array<AovInfo, 8> kAovs{{
     {Aov::normal, "normal", 3, "world-space shading normal, mean over the samples; zero where nothing is hit"},
     {Aov::albedo, "albedo", 3, "directional albedo of the first surface, mean over the samples"},
     {Aov::position, "position", 3, "world-space position of the nearest sample [stage units]"},
-    {Aov::error, "error", 3,
-     "standard error of the pixel's colour, pooled over 16x16 pixels, from two independent replicates"},
+    {Aov::error, "error", 3, "standard error of the pixel's colour, pooled over 16x16 pixels, from two replicates"},
     {Aov::sample_count, "sample_count", 1, "samples per pixel"},
 }};
 

@@ -1,4 +1,4 @@
-// The film: exact per-pixel sums of two independent replicates, and the images and errors read from them.
+// The film: exact per-pixel sums of two replicates, and the images and errors read from them.
 #include "film/film.h"
 
 #include <algorithm>
@@ -89,7 +89,8 @@ Film::PixelVariance Film::tile_variance(int tile_x, int tile_y) const {
             const Replicates& r = color_[index(x, y)];
             const auto a = static_cast<double>(r.count[0]), b = static_cast<double>(r.count[1]);
             for (int c = 0; c < 3; ++c) {
-                // With equal counts this is (A - B)^2 / 4, the variance of (A + B) / 2.
+                // With equal counts this is (A - B)^2 / 4: the variance of (A + B) / 2, or more where A and B share
+                // strata (sampler.h, shared_by_replicates).
                 const double difference = r.sum[0][c].value() / a - r.sum[1][c].value() / b;
                 result.variance[c] += difference * difference * (a * b) / ((a + b) * (a + b));
             }

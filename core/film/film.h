@@ -1,4 +1,4 @@
-// The film: exact per-pixel sums of two independent replicates, and the images and errors read from them.
+// The film: exact per-pixel sums of two replicates, and the images and errors read from them.
 #pragma once
 
 #include <array>

@@ -14,7 +14,7 @@ void generate(Worker& w) noexcept {
         const SampleOwner& owner = w.owners[i];
         w.living.rows[i] = i;
         paths.slot[i] = i;
-        // Even samples belong to replicate 0, odd ones to replicate 1: two independently scrambled sequences.
+        // Even samples belong to replicate 0, odd ones to replicate 1.
         paths.key[i] = pixel_key(scene.options.seed, owner.x, owner.y, owner.sample & 1U);
         paths.reversed_index[i] = reverse_bits(owner.sample >> 1);
     }

@@ -51,7 +51,7 @@ inline Vec3<F> number(Vector v) {
 
 // The points of an Owen-scrambled Sobol' sequence, fixed by its seed.
 inline Uniform2<float> point(std::uint32_t seed, std::uint32_t index) {
-    return sample_2d<float>({mix_bits(seed + 17U), reverse_bits(index)}, 0, Dim::light_uv);
+    return sample_2d<float>({mix_bits(seed + 17U), reverse_bits(index)}, 1, Dim::light_uv);
 }
 
 // Independent points, for tests that count.

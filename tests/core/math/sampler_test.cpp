@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <map>
 #include <set>
 #include <vector>
 
@@ -13,22 +14,31 @@ namespace {
 
 using Points = std::vector<Uniform2<float>>;
 
-Points draw(std::uint32_t key, std::uint32_t count, std::uint32_t bounce, Dim dim) {
+Points draw(std::uint32_t key, std::uint32_t replicate, std::uint32_t count, std::uint32_t bounce, Dim dim) {
     Points points;
     for (std::uint32_t i = 0; i < count; ++i)
-        points.push_back(sample_2d<float>({pixel_key(key, 3, 5, 0), reverse_bits(i)}, bounce, dim));
+        points.push_back(sample_2d<float>({pixel_key(key, 3, 5, replicate), reverse_bits(i)}, bounce, dim));
     return points;
 }
 
-// Does every elementary interval of area 1 / count, 2^-a wide and 2^-b high, hold one point?
-bool fills_elementary_intervals(const Points& points) {
+// As many points of each replicate.
+Points draw_both(std::uint32_t key, std::uint32_t count, std::uint32_t bounce, Dim dim) {
+    Points points = draw(key, 0, count, bounce, dim);
+    const Points others = draw(key, 1, count, bounce, dim);
+    points.insert(points.end(), others.begin(), others.end());
+    return points;
+}
+
+// Does every elementary interval of area 2^t / count, 2^-a wide and 2^-b high, hold 2^t points?
+bool fills_elementary_intervals(const Points& points, unsigned t = 0) {
     const auto log2 = static_cast<unsigned>(std::countr_zero(points.size()));
-    for (unsigned a = 0; a <= log2; ++a) {
-        std::set<std::pair<unsigned, unsigned>> cells;
+    for (unsigned a = 0; a + t <= log2; ++a) {
+        std::map<std::pair<unsigned, unsigned>, unsigned> cells;
         for (const Uniform2<float>& p : points)
-            cells.emplace(static_cast<unsigned>(std::ldexp(p.u, static_cast<int>(a))),
-                          static_cast<unsigned>(std::ldexp(p.v, static_cast<int>(log2 - a))));
-        if (cells.size() != points.size()) return false;
+            ++cells[{static_cast<unsigned>(std::ldexp(p.u, static_cast<int>(a))),
+                     static_cast<unsigned>(std::ldexp(p.v, static_cast<int>(log2 - t - a)))}];
+        for (const auto& [cell, held] : cells)
+            if (held != 1U << t) return false;
     }
     return true;
 }
@@ -36,8 +46,31 @@ bool fills_elementary_intervals(const Points& points) {
 TEST(Sampler, PairsAreNets) {
     for (std::uint32_t seed = 0; seed < 16; ++seed)
         for (std::uint32_t count = 2; count <= 4096; count *= 2)
-            for (const Dim dim : {Dim::pixel, Dim::light_uv, Dim::lobe_uv})
-                EXPECT_TRUE(fills_elementary_intervals(draw(seed, count, seed % 5, dim))) << seed << " " << count;
+            for (const Dim dim : {Dim::pixel, Dim::light_uv, Dim::lobe_uv}) {
+                const std::uint32_t bounce = dim == Dim::pixel ? 0 : 1 + seed % 5;
+                EXPECT_TRUE(fills_elementary_intervals(draw(seed, seed % 2, count, bounce, dim))) << seed << count;
+            }
+}
+
+// Of the pairs the replicates share, both together are a net and each is one of half the quality.
+TEST(Sampler, SharedPairsAreNetsTogether) {
+    for (std::uint32_t seed = 0; seed < 16; ++seed)
+        for (std::uint32_t count = 2; count <= 4096; count *= 2)
+            for (const Dim dim : {Dim::light_uv, Dim::lobe_uv}) {
+                EXPECT_TRUE(fills_elementary_intervals(draw_both(seed, count, 0, dim))) << seed << " " << count;
+                for (const std::uint32_t replicate : {0U, 1U})
+                    EXPECT_TRUE(fills_elementary_intervals(draw(seed, replicate, count, 0, dim), 1)) << seed << count;
+            }
+}
+
+// What sharing must not be: replicates of their own make no net together; neither do the even and odd points of a
+// sequence make nets, which fill one half of the square each.
+TEST(Sampler, ReplicatesOfTheirOwnAreNoNetTogether) {
+    EXPECT_FALSE(fills_elementary_intervals(draw_both(3, 64, 1, Dim::lobe_uv)));
+    Points even;
+    for (std::uint32_t i = 0; i < 64; ++i)
+        even.push_back({owen_scrambled<float>(2 * i, 5U), owen_scrambled<float>(sobol_second(2 * i), 6U)});
+    EXPECT_FALSE(fills_elementary_intervals(even, 1));
 }
 
 TEST(Sampler, IndependentPointsAreNoNet) {
@@ -64,7 +97,8 @@ TEST(Sampler, PurposesAndReplicatesAreUncorrelated) {
     const double limit = 5 / std::sqrt(pixels * samples);
     EXPECT_NEAR(correlation(at(0, Dim::lobe_uv, 0), at(0, Dim::light_uv, 0)), 0, limit);
     EXPECT_NEAR(correlation(at(0, Dim::lobe_uv, 0), at(1, Dim::lobe_uv, 0)), 0, limit);
-    EXPECT_NEAR(correlation(at(0, Dim::lobe_uv, 0), at(0, Dim::lobe_uv, 1)), 0, limit);
+    EXPECT_NEAR(correlation(at(1, Dim::lobe_uv, 0), at(1, Dim::lobe_uv, 1)), 0, limit);
+    EXPECT_NEAR(correlation(at(0, Dim::pixel, 0), at(0, Dim::pixel, 1)), 0, limit);
     EXPECT_NEAR(correlation(at(0, Dim::lobe_uv, 0), at(0, Dim::lobe_uv, 0)), 1, 0.01);
 }
 
