@@ -29,15 +29,6 @@ struct Uniform2 {
     F u, v;
 };
 
-template <class U>
-inline U reverse_bits(U x) {
-    x = ((x >> 1) & U(0x55555555U)) | ((x & U(0x55555555U)) << 1);
-    x = ((x >> 2) & U(0x33333333U)) | ((x & U(0x33333333U)) << 2);
-    x = ((x >> 4) & U(0x0F0F0F0FU)) | ((x & U(0x0F0F0F0FU)) << 4);
-    x = ((x >> 8) & U(0x00FF00FFU)) | ((x & U(0x00FF00FFU)) << 8);
-    return (x >> 16) | (x << 16);
-}
-
 // Full-avalanche mix of 32 bits (Ettinger 2018, "hash prospector", lowbias32).
 template <class U>
 inline U mix_bits(U x) {
