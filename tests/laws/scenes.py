@@ -78,6 +78,7 @@ class Camera:
     focus_distance: float = 0.0
     clipping_range: tuple[float, float] = (0.01, 1e6)
     offset: tuple[float, float] = (0.0, 0.0)
+    exposure_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,7 +418,7 @@ def set_camera(scene: Any, camera: Camera, width: int, height: int) -> None:
         f_stop=camera.f_stop,
         focus_distance=camera.focus_distance,
         clipping_range=camera.clipping_range,
-        exposure_scale=1.0,
+        exposure_scale=camera.exposure_scale,
     )
 
 

@@ -89,6 +89,15 @@ def test_mt4_light_times_a_power_of_two(make: Callable[[], Stage], exponent: int
     assert_same_bits(plain * np.float32(2.0**exponent), bright, f"color at 2^{exponent}")
 
 
+@pytest.mark.parametrize("exponent", [-20, 20])
+def test_mt4_exposure_times_a_power_of_two(exponent: int) -> None:
+    """MT4: the camera's exposure is as good as more light."""
+    stage = scenes.room()
+    exposed = replace(stage, camera=replace(stage.camera, exposure_scale=2.0**exponent))
+    bright = scenes.image(scenes.brighter(stage, 2.0**exponent), **SMALL)
+    assert_same_bits(bright, scenes.image(exposed, **SMALL), f"color at 2^{exponent}")
+
+
 def test_mt4_control_an_offset_is_seen() -> None:
     plain, bright = scenes.image(scenes.room(), **SMALL), scenes.image(scenes.brighter(scenes.room(), 4.0), **SMALL)
     assert differing((plain + np.float32(1e-6)) * 4, bright) > 0

@@ -354,6 +354,28 @@ def test_g21_a_lens_without_aperture_or_focus_is_a_pinhole() -> None:
     assert np.array_equal(scenes.image(stage), scenes.image(other))
 
 
+def test_g21_an_edge_out_of_focus_in_closed_form() -> None:
+    """G21: at twice the focus distance an edge is blurred by the lens itself, turned round: by a uniform disk."""
+    wall = scenes.quad((0, -8, -4), (8, 0, 0), (0, 16, 0), HALF)  # the right half of a view 4 wide
+    camera = Camera(np.eye(4), f_stop=1.8, focus_distance=2.0)  # a lens of radius 1
+    columns, spp = 32, 256
+    render = scenes.run(Stage(camera, (wall,)), spp=spp, width=columns, height=32, aovs=["color", "alpha"])
+    seen = render.read("alpha").mean(0)
+
+    grid = (np.arange(512) + 0.5) / 512
+    across = (np.arange(columns * 16) + 0.5) / (columns * 16) * 4 - 2  # 16 places within each pixel
+
+    def blurred(radii: Array) -> Array:
+        lens = np.sort(np.outer(radii, np.cos(2 * math.pi * grid)).ravel())
+        return (np.searchsorted(lens, across) / lens.size).reshape(columns, 16).mean(1)
+
+    expected = blurred(np.sqrt(grid))
+    tolerance = 5.2 * np.sqrt(expected * (1 - expected) / (32 * spp)) + 1e-3
+    assert (np.abs(seen - expected) < tolerance).all()
+    # A radius that is uniform itself crowds the middle.
+    assert (np.abs(blurred(grid) - expected) > tolerance).any()
+
+
 @pytest.mark.parametrize(
     "change", [{"focal_length": 0.0}, {"focal_length": math.nan}, {"aperture": 0.0}, {"clipping_range": (1.0, 0.5)}]
 )
