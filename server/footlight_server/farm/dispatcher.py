@@ -19,6 +19,7 @@ from footlight_server.farm.places import Places
 from footlight_server.farm.pruning import finish_pruning, prune
 from footlight_server.farm.queue import Queue
 from footlight_server.farm.recovery import recover
+from footlight_server.farm.rests import Rests
 from footlight_server.farm.sheet import Sheets
 from footlight_server.sessions.errors import StorageError
 from footlight_server.sessions.sessions import Sessions
@@ -67,6 +68,7 @@ class Farm:
         # By lane: who runs there, and the task that sees to it.
         self._runs: dict[str, AttemptRun] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._rests = Rests()
         # Rings when a lane has become free, and when the server stops.
         self._freed = Changes()
         self._loop: asyncio.Task[None] | None = None
@@ -199,7 +201,8 @@ class Farm:
 
     async def _give_out(self) -> None:
         lanes = self._executor.lanes()
-        free = [lane for lane in lanes if lane.name not in self._runs]
+        now = time.monotonic()
+        free = [lane for lane in lanes if lane.name not in self._runs and self._rests.over(lane.name, now)]
         if not free:
             return
         by_name = {lane.name: lane for lane in free}
@@ -230,6 +233,7 @@ class Farm:
             seconds = time.monotonic() - begun
             if self._around.meter is not None:
                 self._around.meter.count_attempt(ending.exit_class, seconds)
+            self._rests.note(lane.name, ending.exit_class, time.monotonic())
             ended = await insist(lambda: self._queue.finish(claim.attempt, ending))
         except Exception:
             log.exception("jobs/%d/tasks/%d: its end was not recorded", claim.task.job, claim.task.number)
@@ -258,13 +262,14 @@ class Farm:
     # --- sleeping ---
 
     async def _next_due(self) -> float:
-        """[s, monotonic] When a delayed task is due, if a lane is free for it; else never."""
+        """[s, monotonic] When a delayed task is due, if a lane is free for it, or a lane has rested; else never."""
         if len(self._runs) >= len(self._executor.lanes()):
             return math.inf
         # Read before the queue is asked, at the moment that it reads it: afterwards the wall clock may have been set.
         now, here = self._clock(), time.monotonic()
         due = await self._queue.next_wake()
-        return math.inf if due is None else here + max(0.0, due - now) + _MARGIN
+        rested = self._rests.next_end(here)
+        return rested if due is None else min(rested, here + max(0.0, due - now) + _MARGIN)
 
     async def _news(self, seen: int, freed: int, delay: float) -> None:
         """Until the queue or the lanes have changed, or the time is up."""
