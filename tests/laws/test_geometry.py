@@ -367,8 +367,8 @@ def test_g21_an_edge_out_of_focus_in_closed_form() -> None:
 
     def blurred(radii: Array) -> Array:
         lens = np.sort(np.outer(radii, np.cos(2 * math.pi * grid)).ravel())
-        left_of: Array = np.searchsorted(lens, across) / lens.size
-        return left_of.reshape(columns, 16).mean(axis=1)
+        pixels: Array = (np.searchsorted(lens, across) / lens.size).reshape(columns, 16).mean(axis=1)
+        return pixels
 
     expected = blurred(np.sqrt(grid))
     tolerance = 5.2 * np.sqrt(expected * (1 - expected) / (32 * spp)) + 1e-3
