@@ -360,7 +360,7 @@ def test_g21_an_edge_out_of_focus_in_closed_form() -> None:
     camera = Camera(np.eye(4), f_stop=1.8, focus_distance=2.0)  # a lens of radius 1
     columns, spp = 32, 256
     render = scenes.run(Stage(camera, (wall,)), spp=spp, width=columns, height=32, aovs=["color", "alpha"])
-    seen = render.read("alpha").mean(0)
+    seen = render.read("alpha")[..., 0].mean(0)
 
     grid = (np.arange(512) + 0.5) / 512
     across = (np.arange(columns * 16) + 0.5) / (columns * 16) * 4 - 2  # 16 places within each pixel
