@@ -124,6 +124,10 @@ test-sanitized: $(STAMPS)/packages ## C++ tests under the address and undefined 
 	cmake --build build/sanitized --target core_tests
 	ctest --test-dir build/sanitized --output-on-failure
 
+.PHONY: mutants
+mutants: $(STAMPS)/python ## Show that the laws reject wrong renderers; takes some minutes
+	$(BIN)/python tests/mutants/run.py --jobs $(JOBS)
+
 .PHONY: bench
 bench: build ## Measure what the design promises and print a table
 	$(BIN)/python tests/bench/bench.py
