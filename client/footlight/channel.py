@@ -1,6 +1,5 @@
 """The way to a server: plain on this machine, TLS and a token beyond it."""
 
-import ipaddress
 import json
 import os
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from pathlib import Path
 import grpc
 
 from footlight.errors import CredentialsError
+from footlight.loopback import is_loopback
 
 # Called again, by gRPC, where the connection broke before an answer: reading, and what is idempotent by its request_id.
 _REPEATABLE = ("RenderService", "StageService", "JobService")
@@ -59,13 +59,7 @@ def is_local(address: str) -> bool:
     """`address` is a Unix socket or on the loopback interface."""
     if address.startswith(("unix:", "unix-abstract:")):
         return True
-    host = address.rpartition(":")[0].strip("[]")
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    return is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
 def open_channel(address: str, credentials: Credentials) -> grpc.Channel:

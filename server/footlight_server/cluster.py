@@ -21,6 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
+from footlight.loopback import is_loopback
 from footlight_server.farm.ray.environment import (
     LANE_RESOURCE,
     Access,
@@ -28,7 +29,6 @@ from footlight_server.farm.ray.environment import (
     TlsFiles,
     access_of,
     check_access,
-    is_loopback,
     ray_environment,
 )
 

@@ -1,6 +1,6 @@
 """Where the server may listen: loopback and unix sockets as they are, anything else with TLS."""
 
-import ipaddress
+from footlight.loopback import is_loopback
 
 
 class AddressError(ValueError):
@@ -17,7 +17,7 @@ def check_address(address: str, *, tls: bool = False) -> str:
             raise AddressError("a unix address needs a path: unix:PATH")
         return address
     host, _ = split_address(address)
-    if not (tls or _is_loopback(host)):
+    if not (tls or is_loopback(host)):
         raise AddressError(
             f"{address!r} is not a loopback address. Whoever reaches the server can read files with its rights, "
             "so without TLS (--tls-cert and --tls-key) it listens on 127.0.0.1, [::1] and unix sockets only"
@@ -27,7 +27,7 @@ def check_address(address: str, *, tls: bool = False) -> str:
 
 def is_local(address: str) -> bool:
     """Only this machine reaches the address: it is a unix socket, or on loopback. It needs no TLS and no token."""
-    return address.startswith("unix:") or _is_loopback(split_address(address)[0])
+    return address.startswith("unix:") or is_loopback(split_address(address)[0])
 
 
 def split_address(address: str) -> tuple[str, int]:
@@ -36,12 +36,3 @@ def split_address(address: str) -> tuple[str, int]:
     if not (colon and host and port.isascii() and port.isdecimal() and int(port) <= 65535):
         raise AddressError(f"{address!r} is no address; write HOST:PORT or unix:PATH")
     return host.strip("[]"), int(port)
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

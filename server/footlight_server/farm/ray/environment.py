@@ -4,17 +4,18 @@ Measured with Ray 2.60: by default all ports listen on every interface without a
 the machine runs short, even for what another process took. Limits on memory are ours, per worker.
 """
 
-import ipaddress
 import os
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from footlight.loopback import is_loopback
+
 # The resource that a node declares for each task it takes at a time.
 LANE_RESOURCE = "footlight_lane"
-# [bytes] A token file is 64 hexadecimal digits.
-_LONGEST_TOKEN_FILE = 4096
+# [bytes] A token is 64 hexadecimal digits, a private key a few kilobytes.
+_LARGEST_SECRET = 16384
 
 
 class ClusterError(ValueError):
@@ -89,20 +90,12 @@ def default_token(surroundings: Mapping[str, str]) -> Path:
     return home / "footlight" / "cluster-token"
 
 
-def is_loopback(host: str) -> bool:
-    """`host` is this machine and nothing else can reach it there."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 def _check_secret(option: str, path: Path) -> None:
     try:
         status = path.stat()
     except OSError as error:
         raise ClusterError(f"{option} {path}: {error.strerror}") from error
-    if not stat.S_ISREG(status.st_mode) or not 0 < status.st_size <= _LONGEST_TOKEN_FILE * 4:
+    if not stat.S_ISREG(status.st_mode) or not 0 < status.st_size <= _LARGEST_SECRET:
         raise ClusterError(f"{option} {path}: not a secret's file")
     if status.st_mode & 0o077:
         raise ClusterError(f"{option} {path}: others may read it; allow only yourself (chmod 600)")
