@@ -6,6 +6,7 @@ from typing import Self
 
 import pytest
 
+from footlight.v1 import render_pb2
 from footlight.worker.v1 import bridge_pb2, worker_pb2
 from footlight_server.farm.ray.environment import Access
 from footlight_server.farm.ray.executor import RayExecutor
@@ -95,3 +96,16 @@ async def test_tiles_that_are_none_end_their_worker_and_no_other(
     assert caught.value.failure.reason is FailureReason.INTERNAL
     await worker.close()
     assert link.requests[-1].HasField("end")
+
+
+@pytest.mark.parametrize(("unreachable", "suspected"), [(True, ["n/1"]), (False, [])])
+async def test_a_lane_that_cannot_be_reached_is_left_alone_and_one_whose_process_died_is_not(
+    *, unreachable: bool, suspected: list[str]
+) -> None:
+    told: list[str] = []
+    worker = RayWorker(Sent(), "n/1", told.append)  # type: ignore[arg-type]
+    failure = render_pb2.Failure(reason=render_pb2.FAILURE_REASON_LOST, message="gone")
+    worker.hear(bridge_pb2.BridgeEvent(gone=bridge_pb2.Gone(failure=failure, unreachable=unreachable)))
+    with pytest.raises(WorkerGoneError):
+        await worker.receive()
+    assert told == suspected

@@ -9,7 +9,6 @@ import contextlib
 import logging
 import socket
 import sys
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,8 +28,6 @@ log = logging.getLogger("footlight_server.farm.ray.bridge")
 _LOOK = 2.0
 # [s] For one call to an actor that answers at once.
 _CALL = 10.0
-# [s] A lane that cannot be reached is hidden for so long; by then Ray knows whether its node is gone (15 s, measured).
-_SHUNNED = 20.0
 
 
 class Bridge:
@@ -43,8 +40,6 @@ class Bridge:
         # lane -> the node it is on.
         self._nodes: dict[str, str] = {}
         self._actors: dict[str, Any] = {}
-        # lane -> [s, monotonic] when it is shown again.
-        self._shunned: dict[str, float] = {}
         # call -> lane.
         self._calls: dict[int, str] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -84,15 +79,11 @@ class Bridge:
             }
             for lane in set(self._actors) - set(self._nodes):
                 del self._actors[lane]
-            await self._show_lanes()
-            await asyncio.sleep(_LOOK)
-
-    async def _show_lanes(self) -> None:
-        lanes, now = bridge_pb2.Lanes(), time.monotonic()
-        for lane in sorted(self._nodes):
-            if self._shunned.get(lane, 0.0) <= now:
+            lanes = bridge_pb2.Lanes()
+            for lane in sorted(self._nodes):
                 lanes.lanes.add(name=lane, node=lane.rpartition("/")[0])
-        await self._send(bridge_pb2.BridgeEvent(lanes=lanes))
+            await self._send(bridge_pb2.BridgeEvent(lanes=lanes))
+            await asyncio.sleep(_LOOK)
 
     def _actor(self, lane: str, memory_limit: int) -> Any:
         if lane not in self._actors:
@@ -127,12 +118,11 @@ class Bridge:
                 await self._send(bridge_pb2.BridgeEvent(call=call, gone=bridge_pb2.Gone()))
         except ray.exceptions.RayError as error:
             self._actors.pop(take.lane, None)
-            if isinstance(error, ray.exceptions.ActorUnavailableError):
-                self._shunned[take.lane] = time.monotonic() + _SHUNNED
-                await self._show_lanes()
             what = type(error).__name__
             log.warning("lane %s: %s: %s", take.lane, what, str(error)[:500])
-            await self._send(_lost(call, f"the process that holds {take.lane} is gone ({what})"))
+            lost = _lost(call, f"the process that holds {take.lane} is gone ({what})")
+            lost.gone.unreachable = isinstance(error, ray.exceptions.ActorUnavailableError)
+            await self._send(lost)
         finally:
             del self._calls[call]
 

@@ -50,7 +50,7 @@ class RayWorker:
     ) -> "RayWorker":
         """A worker that waits for `task`, in which it notes how it is confined. Raises WorkerGoneError.
 
-        `suspect` is called with the lane when it falls silent.
+        `suspect` is called with the lane when it falls silent or cannot be reached.
         """
         worker = cls(link, lane, suspect)
         try:
@@ -147,6 +147,8 @@ class RayWorker:
             case "gone":
                 self._peak = max(self._peak, event.gone.peak_memory_bytes)
                 self._last_words = event.gone.last_words
+                if event.gone.unreachable:
+                    self._suspect(self._lane)
                 self._end(_failure(event.gone.failure))
         self._news.set()
 
